@@ -1,0 +1,30 @@
+"""The one exception tree. A message says what was wrong, where, and what would be right."""
+
+
+class CarmKinError(Exception):
+    """Base of every error that a user can cause."""
+
+
+class InputError(CarmKinError):
+    """Bad usage or bad input; exit status 2.
+
+    The place is part of the message: ``rec.csv, line 7, column qw: ...``.
+    """
+
+    def __init__(self, problem: str, *, file: object = None, line: int | None = None, column: str | None = None):
+        place = [str(file)] if file is not None else []
+        place += [f"line {line}"] if line is not None else []
+        place += [f"column {column}"] if column is not None else []
+        super().__init__(f"{', '.join(place)}: {problem}" if place else problem)
+
+
+class MissingDependencyError(CarmKinError):
+    """A package that this platform or installation lacks is needed; the message says how to get it."""
+
+
+class RefusedError(CarmKinError):
+    """The data cannot support a result; exit status 3. ``code`` is stable."""
+
+    def __init__(self, code: str, message: str):
+        super().__init__(message)
+        self.code = code

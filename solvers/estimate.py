@@ -1,0 +1,82 @@
+"""What a solver returns."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from solvers.se3 import Array
+from solvers.torus import Torus
+
+
+@dataclass(frozen=True)
+class Note:
+    """A warning as a value: a stable code and a sentence."""
+
+    code: str
+    message: str
+
+
+@dataclass(frozen=True, eq=False)
+class Covariance:
+    """Covariance of the reported quantities, in m and rad."""
+
+    names: tuple[str, ...]
+    """One name a row, such as ``offset_sensor_pivot_x`` or ``major_radius``."""
+    matrix: Array
+    """(K, K)."""
+
+    def sigma(self, *names: str) -> Array:
+        """One-sigma values of the named quantities."""
+        index = [self.names.index(name) for name in names]
+        return np.sqrt(np.maximum(np.diagonal(self.matrix)[index], 0.0))
+
+    def block(self, prefix: str) -> Array:
+        """The covariance of all quantities whose name starts with ``prefix``."""
+        index = [i for i, name in enumerate(self.names) if name.startswith(prefix)]
+        return self.matrix[np.ix_(index, index)]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A solver's answer, m and rad. What the solver or the locus cannot determine is None."""
+
+    solver: str
+    center: Array
+    """c (P, 3): the centre of the pivot's locus in the world."""
+    torus: Torus | None = None
+    """The complete chain, where the solver determines it."""
+    offset: Array | None = None
+    """t (3,): the pivot in sensor coordinates."""
+    angular_axis: Array | None = None
+    """n (P, 3)."""
+    major_radius: float | None = None
+    """R, signed by the directions of the two axes."""
+    minor_radius: float | None = None
+    angles: Array | None = None
+    """alpha, beta (N, 2) of every pose, where the solver estimates them."""
+    sigma_t: float | None = None
+    """Position noise an axis, m, as estimated or given."""
+    sigma_r: float | None = None
+    """Orientation noise an axis, rad, as estimated or given."""
+    weights: Array | None = None
+    """(N,) weight from 0 to 1 that each pose ended with; None: all 1."""
+    covariance: Covariance | None = None
+    null_direction_sensor: Array | None = None
+    """(3,) direction of the offset that the energy leaves undetermined (published gauge only)."""
+    iterations: int = 0
+    converged: bool = True
+    notes: tuple[Note, ...] = field(default=())
+
+    @staticmethod
+    def of_torus(solver: str, torus: Torus, **more) -> "Estimate":
+        """An estimate of the complete chain."""
+        return Estimate(
+            solver,
+            center=torus.center,
+            torus=torus,
+            offset=torus.offset,
+            angular_axis=torus.angular_axis,
+            major_radius=torus.major_radius,
+            minor_radius=torus.minor_radius,
+            **more,
+        )

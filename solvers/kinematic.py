@@ -1,0 +1,108 @@
+"""Maximum likelihood of the full two-axis chain with every joint angle unknown. The default solver.
+
+Gauss-Newton on the manifold, damped where a step does not descend, from the closed form. Both
+noises are estimated as variance components: the squared residuals of each kind over what the fitted
+unknowns leave of them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solvers import closed_form
+from solvers.covariance import active_unknowns, covariance_of, marginal_covariance
+from solvers.elimination import Reduced, reduce
+from solvers.estimate import Estimate
+from solvers.likelihood import AngleModel, Linearisation, linearise, retract
+from solvers.problem import Problem
+from solvers.se3 import Array
+from solvers.torus import Torus
+
+SIGMA_FLOOR = 1e-7
+"""Least noise assumed, m and rad: well below any tracker's resolution, far above rounding."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the maximum-likelihood solver."""
+
+    fix_non_orthogonality: bool = False
+    """Take the axes as perpendicular instead of estimating epsilon."""
+    max_iterations: int = 40
+    """Steps after which the solver gives up and says so."""
+    tolerance: float = 1e-3
+    """A step shorter than this many standard deviations ends the iteration."""
+
+
+def solve(problem: Problem, options: Options = Options()) -> Estimate:
+    """The most likely chain with its angles, noise and covariance. Needs orientations."""
+    start = closed_form.axes_of(problem, closed_form.Options(options.fix_non_orthogonality))
+    return refine(problem, start.torus(problem), options)
+
+
+def refine(problem: Problem, torus: Torus, options: Options = Options()) -> Estimate:
+    """Maximum likelihood from a given start, whose zeros and senses of the angles are kept."""
+    model = AngleModel.of(problem)
+    active = active_unknowns(torus, options.fix_non_orthogonality)
+    angles = model.start(torus, problem)
+    line = linearise(torus, angles, problem)
+    sigma, damping, converged, iteration = _first_sigma(problem, line), 0.0, False, 0
+    while True:
+        reduced = reduce(line, model, problem, angles, sigma)
+        C = marginal_covariance(reduced.H, active)
+        step = _step(reduced, active, damping)
+        if converged or iteration == options.max_iterations:
+            break
+        iteration += 1
+        trial, trial_angles = retract(torus, step), angles + reduced.angle_step(step)
+        trial_line = linearise(trial, trial_angles, problem)
+        costs = [_cost(at, a, model, sigma) for at, a in ((line, angles), (trial_line, trial_angles))]
+        if costs[1] > costs[0] * (1 + 1e-6) + 1e-6:
+            damping = max(10 * damping, 1e-6)
+            continue
+        torus, angles, line = trial, trial_angles, trial_line
+        new_sigma = _sigma(problem, line, reduced, C)
+        settled = np.allclose(new_sigma, sigma, rtol=1e-3)
+        converged = settled and damping == 0 and step @ reduced.H @ step < options.tolerance**2
+        sigma = new_sigma
+        damping = damping * 0.1 if damping > 1e-8 else 0.0
+    return Estimate.of_torus(
+        "kinematic",
+        torus,
+        angles=angles.T,
+        sigma_t=sigma[0],
+        sigma_r=sigma[1],
+        covariance=covariance_of(torus, C),
+        iterations=iteration,
+        converged=converged,
+    )
+
+
+def _first_sigma(problem: Problem, line: Linearisation) -> tuple[float, float]:
+    rms = np.sqrt((line.residual.reshape(2, -1) ** 2).mean(axis=1))
+    given = (problem.sigma_t, problem.sigma_r)
+    return tuple(max(float(r), SIGMA_FLOOR) if s is None else s for r, s in zip(rms, given, strict=True))
+
+
+def _sigma(problem: Problem, line: Linearisation, reduced: Reduced, C: Array) -> tuple[float, float]:
+    """Both noises: squared residuals over their redundancy, which the machine's unknowns share in
+    proportion to the information that they draw from each kind."""
+    drawn = np.array([(C * reduced.position_information).sum(), (C * (reduced.H - reduced.position_information)).sum()])
+    left = np.maximum(np.array(reduced.redundancy) - drawn, 1.0)
+    estimated = np.sqrt((line.residual.reshape(2, -1) ** 2).sum(axis=1) / left)
+    given = (problem.sigma_t, problem.sigma_r)
+    return tuple(max(float(e), SIGMA_FLOOR) if s is None else s for e, s in zip(estimated, given, strict=True))
+
+
+def _step(reduced: Reduced, active: Array, damping: float) -> Array:
+    inner = reduced.H[np.ix_(active, active)]
+    scale = np.sqrt(np.maximum(np.diagonal(inner), np.finfo(float).tiny))
+    A = inner / np.outer(scale, scale) + (damping + 1e-15) * np.eye(len(inner))
+    step = np.zeros(len(active))
+    step[active] = -np.linalg.lstsq(A, reduced.g[active] / scale, rcond=1e-14)[0] / scale
+    return step
+
+
+def _cost(line: Linearisation, angles: Array, model: AngleModel, sigma: tuple[float, float]) -> float:
+    position, rotation = (line.residual.reshape(2, -1) ** 2).sum(axis=1) / np.square(sigma)
+    return float(position + rotation + (model.precision * model.reading_error(angles) ** 2).sum())

@@ -1,0 +1,178 @@
+"""The likelihood of the two-axis chain, linearised, with every joint angle eliminated.
+
+Each pose gives six residuals, written in the carm frame of the prediction: position (m), then
+rotation vector (rad). Both noises are isotropic, so the frame does not matter, and this one makes
+most columns of the Jacobian constant or a row of one rotation. The unknowns are
+
+    [torus v, torus w] for each placement, R, epsilon, [sensor mount v, sensor mount w]
+
+with right perturbations of ``T_world_torus`` and ``T_sensor_carm``. The angles are nuisance: those
+of single poses are eliminated pose by pose, those of held sweeps sweep by sweep (Schur complements
+of 1x1 and 2x2 blocks), so that a step costs O(N). Arrays run over poses in their last axis.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from solvers.problem import Problem
+from solvers.se3 import Array, exp_se3, inverse, log_so3_small
+from solvers.torus import Torus
+
+LOCAL = 14
+"""Unknowns that one pose sees: torus (6), R, epsilon, mount (6)."""
+TORUS_ROLL, MOUNT_ROLL = 3, 4
+"""Where the zero of alpha stands within a torus, and the zero of beta within the mount."""
+
+
+@dataclass(frozen=True, eq=False)
+class AngleModel:
+    """Which angles are unknown: by pose, by sweep, or not at all."""
+
+    free: np.ndarray
+    """(2, N) the joint's angle is an unknown of this pose alone."""
+    sweep: np.ndarray
+    """(N,) number of the sweep whose held angle is unknown, -1 where there is none."""
+    sweep_joint: np.ndarray
+    """(N,) which joint that sweep holds."""
+    sweep_placement: np.ndarray
+    """(S,) the base placement of each such sweep."""
+    reading: Array
+    """(2, N) reading of a moving joint, rad; 0 where there is none."""
+    precision: Array
+    """(2, N) 1 / variance of the reading; 0 where there is none."""
+
+    @staticmethod
+    def of(problem: Problem) -> "AngleModel":
+        """A joint that is held without a label is unknown once a sweep; a moving one, at every pose."""
+        known = np.isfinite(problem.label)
+        held = problem.held >= 0
+        held[:, 1] &= ~held[:, 0]
+        unknown = held & ~known
+        joint = np.where(unknown[:, 1], 1, 0)
+        member = unknown.any(axis=1)
+        key = problem.held[np.arange(len(problem)), joint] * 2 + joint
+        sweep = np.full(len(problem), -1)
+        first, sweep[member] = np.unique(key[member], return_index=True, return_inverse=True)[1:]
+        moving = problem.held < 0
+        moving[:, 1] |= (problem.held >= 0).all(axis=1) & ~known[:, 1]
+        reading = known & moving
+        return AngleModel(
+            free=moving.T,
+            sweep=sweep,
+            sweep_joint=joint,
+            sweep_placement=problem.placement[member][first],
+            reading=np.where(reading, problem.label, 0.0).T,
+            precision=reading.T / problem.sigma_reading**2,
+        )
+
+    def start(self, torus: Torus, problem: Problem) -> Array:
+        """alpha, beta (2, N): from the orientations, constant in a held sweep, the label where it is exact."""
+        angles = torus.angles(problem).T
+        member = self.sweep >= 0
+        poses = np.flatnonzero(member)
+        joint, sweep = self.sweep_joint[poses], self.sweep[poses]
+        total = np.zeros(len(self.sweep_placement), dtype=complex)
+        np.add.at(total, sweep, np.exp(1j * angles[joint, poses]))
+        angles[joint, poses] = np.angle(total)[sweep]
+        exact = np.isfinite(problem.label.T) & ~self.free
+        return np.where(exact, problem.label.T, angles)
+
+    def reading_error(self, angles: Array) -> Array:
+        """(2, N) angle less reading, wrapped to a half turn; 0 where there is no reading."""
+        return np.where(self.precision > 0, np.angle(np.exp(1j * (angles - self.reading))), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearisation:
+    """Residuals and their derivatives at one set of parameters, in m and rad, not yet weighted."""
+
+    residual: Array
+    """(6, N) position, then rotation vector, in the carm frame."""
+    by_angle: Array
+    """(6, 2, N) derivative by alpha and beta."""
+    by_local: Array
+    """(6, 14, N) derivative by the unknowns that the pose sees."""
+
+
+def residuals(torus: Torus, angles: Array, problem: Problem) -> Array:
+    """(6, N): observed less predicted pose, position (m) then rotation vector (rad), carm frame."""
+    return _residuals(torus, angles, problem, _rotation(torus.non_orthogonality, *angles))
+
+
+def _rotation(epsilon: float, alpha: Array, beta: Array) -> Array:
+    """Q = Rx(alpha) Rz(epsilon) Ry(beta) as (3, 3, N)."""
+    ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
+    ce, se = np.cos(epsilon), np.sin(epsilon)
+    Q = np.empty((3, 3, len(alpha)))
+    Q[0] = ce * cb, np.full_like(ca, -se), ce * sb
+    Q[1] = ca * se * cb + sa * sb, ca * ce, ca * se * sb - sa * cb
+    Q[2] = sa * se * cb - ca * sb, sa * ce, sa * se * sb + ca * cb
+    return Q
+
+
+def _residuals(torus: Torus, angles: Array, problem: Problem, Q: Array) -> Array:
+    T_carm_sensor = inverse(torus.T_sensor_carm)
+    R_torus_world = np.swapaxes(torus.T_world_torus[:, :3, :3], 1, 2)
+    p = problem.p_world_sensor - torus.center[problem.placement]
+    if problem.placements == 1:
+        p_torus = (p @ R_torus_world[0].T).T
+        R_torus_carm = R_torus_world[0] @ (problem.rotations @ torus.T_sensor_carm[:3, :3])
+    else:
+        turn = R_torus_world[problem.placement]
+        p_torus = np.einsum("nij,nj->in", turn, p)
+        R_torus_carm = turn @ problem.rotations @ torus.T_sensor_carm[:3, :3]
+    p_torus[1] += torus.major_radius * np.sin(angles[0])
+    p_torus[2] -= torus.major_radius * np.cos(angles[0])
+    r = np.empty((6, len(problem)))
+    r[:3] = np.einsum("jin,jn->in", Q, p_torus) - T_carm_sensor[:3, 3, None]
+    r[3:] = log_so3_small(np.moveaxis(Q, -1, 0).swapaxes(1, 2) @ R_torus_carm).T
+    return r
+
+
+def linearise(torus: Torus, angles: Array, problem: Problem) -> Linearisation:
+    """Residuals and Jacobian at ``angles`` (2, N).
+
+    Each unknown moves the sensor by a twist (v, w) of the carm, which changes the prediction by
+    v + w x q and w, with q the sensor in the carm frame.
+    """
+    Q = _rotation(torus.non_orthogonality, *angles)
+    q = inverse(torus.T_sensor_carm)[:3, 3]
+    n = len(problem)
+    J = np.zeros((6, LOCAL, n))
+    m_y, m_z = -torus.major_radius * np.sin(angles[0]), torus.major_radius * np.cos(angles[0])
+    J[:3, 0:3] = Q.swapaxes(0, 1)
+    J[3:, 3:6] = Q.swapaxes(0, 1)
+    J[:3, 3] = m_y * Q[2] - m_z * Q[1]
+    J[:3, 4] = m_z * Q[0]
+    J[:3, 5] = -m_y * Q[0]
+    radial = -np.sin(angles[1]), np.zeros(n), np.cos(angles[1])
+    J[:3, 6] = radial
+    J[3:, 7] = radial
+    J[:3, 3:6] += _cross(J[3:, 3:6], q)
+    J[:3, 7] += _cross(J[3:, 7], q)
+    J[:3, 8:11] = J[3:, 11:14] = -np.eye(3)[:, :, None]
+    J[:3, 11:14] = np.cross(q, np.eye(3)).T[:, :, None]
+    A = np.empty((6, 2, n))
+    A[:, 0] = J[:, 3]
+    A[:, 1] = np.array([q[2], 0, -q[0], 0, 1, 0])[:, None]
+    np.negative(J, out=J)
+    np.negative(A, out=A)
+    return Linearisation(_residuals(torus, angles, problem, Q), A, J)
+
+
+def _cross(w: Array, q: Array) -> Array:
+    """w x q for w (3, ...) and one q (3,)."""
+    return np.stack([w[1] * q[2] - w[2] * q[1], w[2] * q[0] - w[0] * q[2], w[0] * q[1] - w[1] * q[0]])
+
+
+def retract(torus: Torus, step: Array) -> Torus:
+    """The chain moved by ``step`` (6 P + 8,), m and rad."""
+    split = 6 * len(torus.T_world_torus)
+    return replace(
+        torus,
+        T_world_torus=torus.T_world_torus @ exp_se3(step[:split].reshape(-1, 6)),
+        major_radius=torus.major_radius + float(step[split]),
+        non_orthogonality=torus.non_orthogonality + float(step[split + 1]),
+        T_sensor_carm=torus.T_sensor_carm @ exp_se3(step[split + 2 :]),
+    )

@@ -1,0 +1,89 @@
+"""What a solver is given: poses, and what is known of the two joint angles."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from solvers.se3 import Array
+
+ANGULAR, ORBITAL = 0, 1
+"""Columns of `Problem.held` and `Problem.label`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """N poses of the sensor in the world, in metres and radians. Nothing is ever modified."""
+
+    p_world_sensor: Array
+    """(N, 3) sensor positions, m."""
+    R_world_sensor: Array | None
+    """(N, 3, 3) sensor orientations, or None where only positions were recorded."""
+    placement: np.ndarray
+    """(N,) number 0..P-1 of the base placement of each pose."""
+    held: np.ndarray
+    """(N, 2) for the angular and the orbital joint: the number of the sweep during which the joint
+    is held still, or -1 where it moves freely."""
+    label: Array
+    """(N, 2) known joint angles, rad, NaN where unknown: of a held joint its exact label, of a moving
+    joint its reading, good to `sigma_reading`."""
+    sigma_reading: float = float(np.radians(0.5))
+    """Standard deviation of a moving joint's reading, rad."""
+    sigma_t: float | None = None
+    """Position noise an axis, m; None: estimated from the data."""
+    sigma_r: float | None = None
+    """Orientation noise an axis, rad; None: estimated from the data."""
+
+    @staticmethod
+    def of_poses(p_world_sensor: Array, R_world_sensor: Array | None) -> "Problem":
+        """Poses of one placement of which nothing else is known."""
+        n = len(p_world_sensor)
+        return Problem(
+            p_world_sensor,
+            R_world_sensor,
+            placement=np.zeros(n, dtype=int),
+            held=np.full((n, 2), -1),
+            label=np.full((n, 2), np.nan),
+        )
+
+    def __len__(self) -> int:
+        return len(self.p_world_sensor)
+
+    @cached_property
+    def placements(self) -> int:
+        """P, the number of base placements."""
+        return int(self.placement.max()) + 1 if len(self) else 0
+
+    @property
+    def rotations(self) -> Array:
+        """`R_world_sensor`, for solvers that need it; raises ValueError where it was not recorded."""
+        if self.R_world_sensor is None:
+            raise ValueError("the recording has no orientations")
+        return self.R_world_sensor
+
+    def sweeps(self, held: int) -> list[np.ndarray]:
+        """The pose indices of every sweep during which joint ``held`` (ANGULAR or ORBITAL) is held
+        and the other one moves."""
+        mask = (self.held[:, held] >= 0) & (self.held[:, 1 - held] < 0)
+        index = np.flatnonzero(mask)
+        if not index.size:
+            return []
+        order = index[np.argsort(self.held[index, held], kind="stable")]
+        return np.split(order, np.flatnonzero(np.diff(self.held[order, held])) + 1)
+
+    def select(self, poses: np.ndarray) -> "Problem":
+        """The problem of some of the poses, by index or mask; placements keep their numbers."""
+        R = self.R_world_sensor
+        return replace(
+            self,
+            p_world_sensor=self.p_world_sensor[poses],
+            R_world_sensor=None if R is None else R[poses],
+            placement=self.placement[poses],
+            held=self.held[poses],
+            label=self.label[poses],
+        )
+
+    def without_labels(self) -> "Problem":
+        """The same poses with nothing known of the joints."""
+        blank = Problem.of_poses(self.p_world_sensor, self.R_world_sensor)
+        return replace(self, held=blank.held, label=blank.label)
