@@ -101,16 +101,16 @@ class Axes:
         Convention without labels: alpha = 0 and beta = 0 at the first pose of the placement, R >= 0,
         and alpha positive at the pose that lies farthest from the first.
         """
-        axes = self if self.major_radius >= 0 else self._turned(1, -1)
+        axes = self if self.major_radius >= 0 else self.turned(1, -1)
         raw = axes._with_arbitrary_zeros()
         angles = raw.angles(problem)
         senses = [_sense(angles[:, j], problem.label[:, j], problem.placement if j == 0 else None) for j in (0, 1)]
         flips = _flips(senses, angles[:, 0] - angles[0, 0])
-        axes = axes._turned(*flips)
+        axes = axes.turned(*flips)
         raw = axes._with_arbitrary_zeros()
         return _with_zeros(raw, raw.angles(problem), problem)
 
-    def _turned(self, angular: int, orbital: int) -> "Axes":
+    def turned(self, angular: int, orbital: int) -> "Axes":
         """The same two lines with the direction of n and of a multiplied by the given signs."""
         sign = angular * orbital
         return replace(

@@ -1,0 +1,58 @@
+"""Loci on which the pivot moves, each one file, found by its name.
+
+A locus states, in ambient coordinates theta, what the pivot ``R_i t + p_i`` must satisfy. Unit
+vectors stand in theta with three entries; `Locus.basis` gives the directions in which theta may move.
+"""
+
+from importlib import import_module
+from pkgutil import iter_modules
+from typing import Protocol
+
+import casadi as ca
+
+from solvers.estimate import Estimate
+from solvers.problem import Problem
+from solvers.se3 import Array
+
+
+class Locus(Protocol):
+    """What `solvers.direct` needs of a locus. Implementations are frozen dataclasses, hence hashable."""
+
+    size: int
+    """Length of theta."""
+    own: int
+    """How many leading entries of theta belong to one placement; the rest is shared."""
+    needs_rotation_about_two_axes: bool
+    """Whether the general checks of a two-axis motion apply."""
+
+    def residual(self, theta: ca.SX, R: ca.SX, p: ca.SX, lever: ca.SX) -> ca.SX:
+        """Residuals, m, of one pose: R (3, 3), p (3, 1); ``lever`` (m) turns angles into lengths."""
+        ...
+
+    def basis(self, theta: Array) -> Array:
+        """(size, k) orthonormal columns; those that move the placement's own entries come first."""
+        ...
+
+    def normalised(self, theta: Array) -> Array:
+        """theta with its unit vectors normalised."""
+        ...
+
+    def start(self, problem: Problem) -> Array:
+        """(P, size) initial theta from the poses alone."""
+        ...
+
+    def estimate(self, theta: Array, problem: Problem, **more) -> Estimate:
+        """The answer in the project's terms, from theta (P, size)."""
+        ...
+
+
+def locus_names() -> tuple[str, ...]:
+    """Names of all loci."""
+    return tuple(info.name for info in iter_modules(__path__))
+
+
+def locus(name: str, **options) -> Locus:
+    """The locus of that name. Raises KeyError for an unknown one."""
+    if name not in locus_names():
+        raise KeyError(name)
+    return import_module(f"{__name__}.{name}").Locus(**options)

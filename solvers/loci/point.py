@@ -1,0 +1,41 @@
+"""A fixed pivot: standard pivot calibration of a pointer, ``R_i t + p_i = c``."""
+
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from solvers.estimate import Estimate
+from solvers.problem import Problem
+from solvers.se3 import Array
+
+
+@dataclass(frozen=True)
+class Locus:
+    """theta = [c | t]."""
+
+    size: int = 6
+    own: int = 3
+    needs_rotation_about_two_axes: bool = False
+
+    def residual(self, theta: ca.SX, R: ca.SX, p: ca.SX, lever: ca.SX) -> ca.SX:
+        """The three components of ``R t + p - c``."""
+        return R @ theta[3:6] + p - theta[:3]
+
+    def basis(self, theta: Array) -> Array:
+        """Every direction is free."""
+        return np.eye(self.size)
+
+    def normalised(self, theta: Array) -> Array:
+        """Nothing to normalise."""
+        return theta
+
+    def start(self, problem: Problem) -> Array:
+        """t = 0 and the mean position: the problem is linear, one step ends it."""
+        p = problem.p_world_sensor
+        centers = [p[problem.placement == k].mean(axis=0) for k in range(problem.placements)]
+        return np.stack([np.concatenate([c, np.zeros(3)]) for c in centers])
+
+    def estimate(self, theta: Array, problem: Problem, **more) -> Estimate:
+        """Offset (the tip in the pointer's frame) and centre; a radius of zero and no axes."""
+        return Estimate("direct", center=theta[:, :3], offset=theta[0, 3:6], major_radius=0.0, **more)
