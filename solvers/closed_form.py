@@ -43,6 +43,7 @@ def axes_of(problem: Problem, options: Options = Options()) -> Axes:
     n, a, s = _directions(M, options)
     if P > 1:
         n, s = _consistent_signs(problem, n, a, s)
+        s = 0.0 if options.fix_non_orthogonality else s
         n, a, s = (x[0] for x in _refine(M, n[None], a[None], np.atleast_1d(s), options.fix_non_orthogonality))
     z = _pivot_directions(R, n[placement], a)
     center, radius, offset = _locus(problem, z, shared_radius=True)

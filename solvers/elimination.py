@@ -28,7 +28,8 @@ class Reduced:
     position_information: Array
     """(D, D) share of H that the position residuals carry; the rotations carry the rest."""
     redundancy: tuple[float, float]
-    """Number of position and of rotation residuals, each less the part that the angles absorb."""
+    """Number of position and of rotation residuals, each less the part that the angles absorb
+    (without orientations the second is without meaning)."""
     angle_gain: Array
     """(2, 14, N) and"""
     angle_start: Array
@@ -56,15 +57,15 @@ def reduce(
     model: AngleModel,
     problem: Problem,
     angles: Array,
-    sigma: tuple[float, float],
+    sigma: tuple[float, ...],
     weights: Array | None = None,
 ) -> Reduced:
-    """Eliminate the angles. ``sigma`` is the noise of position (m) and rotation (rad); ``weights``
-    (N,) scales the information of each pose."""
+    """Eliminate the angles. ``sigma`` is the noise of position (m) and, where there are orientations,
+    of rotation (rad); ``weights`` (N,) scales the information of each pose."""
     row = np.repeat(1 / np.asarray(sigma), 3)[:, None]
     scale = row if weights is None else row * np.sqrt(weights)
     n = line.residual.shape[1]
-    B = np.empty((6, LOCAL + 2, n))
+    B = np.empty((len(row), LOCAL + 2, n))
     np.multiply(line.by_local, scale[:, None], out=B[:, :LOCAL])
     full = line.by_angle * scale[:, None]
     B[:, HELD] = np.where(model.sweep >= 0, full[:, model.sweep_joint, np.arange(n)], 0.0)
@@ -114,12 +115,14 @@ def _moment(left: Array, right: Array) -> Array:
 
 
 def _inverse_blocks(A: Array, model: AngleModel) -> Array:
-    """inv(G) (2, 2, N); the rows of angles that are not free are those of the identity."""
+    """inv(G) (2, 2, N); the rows of angles that are not free are those of the identity. A ridge of 1e-12
+    keeps poses in which both angles move the sensor alike from amplifying rounding."""
     a = (A[:, 0] ** 2).sum(axis=0) + model.precision[0] + ~model.free[0]
     d = (A[:, 1] ** 2).sum(axis=0) + model.precision[1] + ~model.free[1]
     b = (A[:, 0] * A[:, 1]).sum(axis=0)
-    determinant = a * d - b * b
-    return np.array([[d, -b], [-b, a]]) / np.maximum(determinant, np.finfo(float).tiny)
+    ridge = 1e-12 * (a + d) + np.finfo(float).tiny
+    a, d = a + ridge, d + ridge
+    return np.array([[d, -b], [-b, a]]) / (a * d - b * b)
 
 
 def _sweep_sums(B: Array, C: Array, X: Array, model: AngleModel) -> Array:

@@ -30,10 +30,13 @@ class Covariance:
         index = [self.names.index(name) for name in names]
         return np.sqrt(np.maximum(np.diagonal(self.matrix)[index], 0.0))
 
+    def select(self, index: list[int]) -> "Covariance":
+        """The covariance of some of the quantities."""
+        return Covariance(tuple(self.names[i] for i in index), self.matrix[np.ix_(index, index)])
+
     def block(self, prefix: str) -> Array:
         """The covariance of all quantities whose name starts with ``prefix``."""
-        index = [i for i, name in enumerate(self.names) if name.startswith(prefix)]
-        return self.matrix[np.ix_(index, index)]
+        return self.select([i for i, name in enumerate(self.names) if name.startswith(prefix)]).matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,9 +63,13 @@ class Estimate:
     """Orientation noise an axis, rad, as estimated or given."""
     weights: Array | None = None
     """(N,) weight from 0 to 1 that each pose ended with; None: all 1."""
+    residual: Array | None = None
+    """(N, K) what the solver's own model leaves of each pose, m, where there is no complete chain."""
     covariance: Covariance | None = None
     null_direction_sensor: Array | None = None
     """(3,) direction of the offset that the energy leaves undetermined (published gauge only)."""
+    unobservable: tuple[str, ...] = ()
+    """What the data or the energy leave undetermined, in words, where the solver knows it."""
     iterations: int = 0
     converged: bool = True
     notes: tuple[Note, ...] = field(default=())

@@ -78,6 +78,27 @@ def refine(problem: Problem, torus: Torus, options: Options = Options()) -> Esti
     )
 
 
+def fit_angles(problem: Problem, torus: Torus, iterations: int = 5) -> tuple[Array, tuple[float, float], Reduced]:
+    """The most likely angles (2, N) and noise for a chain that another solver found, and the normal
+    equations there; labels of held joints are taken as exact."""
+    model = AngleModel.of(problem)
+    angles = model.start(torus, problem)
+    line = linearise(torus, angles, problem)
+    sigma = _first_sigma(problem, line)
+    nothing = np.zeros(6 * problem.placements + 8)
+    for _ in range(iterations):
+        reduced = reduce(line, model, problem, angles, sigma)
+        angles = angles + reduced.angle_step(nothing)
+        line = linearise(torus, angles, problem)
+        sigma = _sigma(problem, line, reduced, np.zeros_like(reduced.H))
+    return angles, sigma, reduce(line, model, problem, angles, sigma)
+
+
+def reduce_at(problem: Problem, torus: Torus, angles: Array, sigma: tuple[float, float]) -> Reduced:
+    """The normal equations at given parameters and angles (2, N)."""
+    return reduce(linearise(torus, angles, problem), AngleModel.of(problem), problem, angles, sigma)
+
+
 def _first_sigma(problem: Problem, line: Linearisation) -> tuple[float, float]:
     rms = np.sqrt((line.residual.reshape(2, -1) ** 2).mean(axis=1))
     given = (problem.sigma_t, problem.sigma_r)

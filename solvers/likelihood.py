@@ -85,19 +85,17 @@ class AngleModel:
 
 @dataclass(frozen=True, eq=False)
 class Linearisation:
-    """Residuals and their derivatives at one set of parameters, in m and rad, not yet weighted."""
+    """Residuals and their derivatives at one set of parameters, in m and rad, not yet weighted.
+
+    Six rows: position, then rotation vector; three where only positions were recorded.
+    """
 
     residual: Array
-    """(6, N) position, then rotation vector, in the carm frame."""
+    """(6, N) observed less predicted, in the carm frame."""
     by_angle: Array
     """(6, 2, N) derivative by alpha and beta."""
     by_local: Array
     """(6, 14, N) derivative by the unknowns that the pose sees."""
-
-
-def residuals(torus: Torus, angles: Array, problem: Problem) -> Array:
-    """(6, N): observed less predicted pose, position (m) then rotation vector (rad), carm frame."""
-    return _residuals(torus, angles, problem, _rotation(torus.non_orthogonality, *angles))
 
 
 def _rotation(epsilon: float, alpha: Array, beta: Array) -> Array:
@@ -111,23 +109,25 @@ def _rotation(epsilon: float, alpha: Array, beta: Array) -> Array:
     return Q
 
 
-def _residuals(torus: Torus, angles: Array, problem: Problem, Q: Array) -> Array:
-    T_carm_sensor = inverse(torus.T_sensor_carm)
-    R_torus_world = np.swapaxes(torus.T_world_torus[:, :3, :3], 1, 2)
+def _position_residual(torus: Torus, angles: Array, problem: Problem, Q: Array) -> Array:
+    """(3, N) observed less predicted position in the carm frame, m."""
     p = problem.p_world_sensor - torus.center[problem.placement]
-    if problem.placements == 1:
-        p_torus = (p @ R_torus_world[0].T).T
-        R_torus_carm = R_torus_world[0] @ (problem.rotations @ torus.T_sensor_carm[:3, :3])
+    R_world_torus = torus.T_world_torus[:, :3, :3]
+    if len(R_world_torus) == 1:
+        p_torus = (p @ R_world_torus[0]).T
     else:
-        turn = R_torus_world[problem.placement]
-        p_torus = np.einsum("nij,nj->in", turn, p)
-        R_torus_carm = turn @ problem.rotations @ torus.T_sensor_carm[:3, :3]
+        p_torus = np.einsum("nji,nj->in", R_world_torus[problem.placement], p)
     p_torus[1] += torus.major_radius * np.sin(angles[0])
     p_torus[2] -= torus.major_radius * np.cos(angles[0])
-    r = np.empty((6, len(problem)))
-    r[:3] = np.einsum("jin,jn->in", Q, p_torus) - T_carm_sensor[:3, 3, None]
-    r[3:] = log_so3_small(np.moveaxis(Q, -1, 0).swapaxes(1, 2) @ R_torus_carm).T
-    return r
+    return np.einsum("jin,jn->in", Q, p_torus) - inverse(torus.T_sensor_carm)[:3, 3, None]
+
+
+def _rotation_residual(torus: Torus, problem: Problem, Q: Array) -> Array:
+    """(3, N) rotation vector from the predicted to the observed orientation in the carm frame, rad."""
+    R_torus_world = np.swapaxes(torus.T_world_torus[:, :3, :3], 1, 2)
+    turn = R_torus_world if len(R_torus_world) == 1 else R_torus_world[problem.placement]
+    R_torus_carm = turn @ (problem.rotations @ torus.T_sensor_carm[:3, :3])
+    return log_so3_small(np.moveaxis(Q, -1, 0).swapaxes(1, 2) @ R_torus_carm).T
 
 
 def linearise(torus: Torus, angles: Array, problem: Problem) -> Linearisation:
@@ -158,7 +158,10 @@ def linearise(torus: Torus, angles: Array, problem: Problem) -> Linearisation:
     A[:, 1] = np.array([q[2], 0, -q[0], 0, 1, 0])[:, None]
     np.negative(J, out=J)
     np.negative(A, out=A)
-    return Linearisation(_residuals(torus, angles, problem, Q), A, J)
+    position = _position_residual(torus, angles, problem, Q)
+    if problem.R_world_sensor is None:
+        return Linearisation(position, A[:3], J[:3])
+    return Linearisation(np.concatenate([position, _rotation_residual(torus, problem, Q)]), A, J)
 
 
 def _cross(w: Array, q: Array) -> Array:

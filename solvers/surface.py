@@ -1,0 +1,164 @@
+"""The sensor's positions alone, fitted to the generalised torus surface (Eq. 5 of the paper).
+
+Orthogonal distance regression: alpha and beta of the nearest surface point are eliminated at each
+pose, as in the kinematic solver but with the three position residuals only. The start is algebraic.
+With q = p - c, the surface (epsilon = 0) satisfies
+
+    |q|^4 - qT S q + d = 0,  S = (2 k + 4 R^2) I - 4 R^2 n nT,  k = t_y^2 + b^2 - R^2,
+    d = k^2 + 4 R^2 t_y^2,
+
+which is linear in its coefficients before c is known, too. Positions cannot give the offset: any
+rotation of the sensor in its mount leaves them unchanged.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solvers.covariance import active_unknowns, covariance_of, marginal_covariance
+from solvers.elimination import reduce
+from solvers.estimate import Estimate, Note
+from solvers.likelihood import AngleModel, Linearisation, linearise, retract
+from solvers.problem import Problem
+from solvers.se3 import Array, orthonormal_complement, transform
+from solvers.torus import Torus
+
+SIGMA_FLOOR_M = 1e-7
+NEARLY_SPHERE = 0.03
+"""Relative deviation from a sphere below which the algebraic start is not trusted alone."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """Options of the surface solver."""
+
+    max_iterations: int = 100
+    """Steps after which a start is given up."""
+
+
+def solve(problem: Problem, options: Options = Options()) -> Estimate:
+    """c, n, R, b and t_y from positions. Raises ValueError for several base placements."""
+    if problem.placements > 1:
+        raise ValueError("surface fits one base placement at a time; select one")
+    positions = Problem.of_poses(problem.p_world_sensor, None)
+    fits = [_refine(positions, start, options) for start in _starts(problem.p_world_sensor)]
+    return min(fits, key=lambda fit: fit.sigma_t)
+
+
+def _starts(p: Array) -> list[Torus]:
+    """Tori from the algebraic quartic, and small ones inside the best sphere for where it degenerates."""
+    mean = p.mean(axis=0)
+    scale = np.sqrt(((p - mean) ** 2).sum(axis=1).mean())
+    x = (p - mean) / scale
+    center, radius = _sphere(x)
+    inside = []
+    if np.std(np.linalg.norm(x - center, axis=1)) < NEARLY_SPHERE * radius:
+        inside = [_torus(center, n, 0.05 * radius, 0.98 * radius, 0.2 * radius, mean, scale) for n in np.eye(3)]
+    square = (x**2).sum(axis=1)
+    pairs = np.stack([x[:, i] * x[:, j] for i in range(3) for j in range(i, 3)], axis=1)
+    linear = np.concatenate([square[:, None] * x, pairs, x, np.ones((len(x), 1))], axis=1)
+    c = -np.linalg.lstsq(linear, -(square**2), rcond=None)[0][:3] / 4
+    q = x - c
+    square = (q**2).sum(axis=1)
+    pairs = np.stack([q[:, i] * q[:, j] * (1 if i == j else 2) for i in range(3) for j in range(i, 3)], axis=1)
+    s = np.linalg.lstsq(np.concatenate([-pairs, np.ones((len(q), 1))], axis=1), -(square**2), rcond=None)[0]
+    values, vectors = np.linalg.eigh(np.array([[s[0], s[1], s[2]], [s[1], s[3], s[4]], [s[2], s[4], s[5]]]))
+    R2, k = max((values[2] + values[1]) / 2 - values[0], 1e-6) / 4, values[0] / 2
+    t_y2 = np.clip((s[6] - k**2) / (4 * R2), 0.0, 0.9 * max(k + R2, 1e-6))
+    b = np.sqrt(max(k + R2 - t_y2, 1e-6))
+    return [_torus(c, vectors[:, 0], np.sqrt(R2), b, np.sqrt(t_y2), mean, scale), *inside]
+
+
+def _sphere(x: Array) -> tuple[Array, float]:
+    solution = np.linalg.lstsq(np.column_stack([2 * x, np.ones(len(x))]), (x**2).sum(axis=1), rcond=None)[0]
+    return solution[:3], float(np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 1e-12)))
+
+
+def _torus(c: Array, n: Array, R: float, b: float, t_y: float, mean: Array, scale: float) -> Torus:
+    """A chain whose sensor stands at (0, t_y, b) in the carm frame, its axes parallel to it."""
+    z = orthonormal_complement(n)[:, 0]
+    T_world_torus = transform(np.stack([n, np.cross(z, n), z], axis=1), mean + scale * c)[None]
+    T_sensor_carm = transform(np.eye(3), -scale * np.array([0.0, t_y, b]))
+    return Torus(T_world_torus, scale * R, 0.0, T_sensor_carm, np.array([False]), False)
+
+
+def _refine(problem: Problem, torus: Torus, options: Options) -> Estimate:
+    model = AngleModel.of(problem)
+    active = active_unknowns(torus, fix_non_orthogonality=True)
+    active[[8, 11, 12, 13]] = False  # the mount has two unknowns left, t_y and b
+    angles = nearest_angles(torus, problem)
+    line = linearise(torus, angles, problem)
+    damping, iteration, converged = 1e-3, 0, False
+    while iteration < options.max_iterations and not converged:
+        iteration += 1
+        reduced = reduce(line, model, problem, angles, (1.0,))
+        step = np.zeros(len(active))
+        inner = reduced.H[np.ix_(active, active)]
+        scale = np.sqrt(np.maximum(inner.diagonal(), 1e-12 * inner.diagonal().max()))
+        A = inner / np.outer(scale, scale) + damping * np.eye(len(inner))
+        step[active] = -np.linalg.solve(A, reduced.g[active] / scale) / scale
+        trial = retract(torus, step)
+        trial_angles = nearest_angles(trial, problem)
+        trial_line = linearise(trial, trial_angles, problem)
+        gain = _energy(line) - _energy(trial_line)
+        if gain >= 0:
+            torus, angles, line = trial, trial_angles, trial_line
+            damping = max(damping * 0.1, 1e-15)
+            converged = gain <= 1e-10 * _energy(line) or _energy(line) < len(problem) * 1e-24
+        else:
+            damping *= 10
+            converged = damping > 1e8
+    return _estimate(problem, torus, line, angles, model, active, iteration, converged)
+
+
+def _energy(line: Linearisation) -> float:
+    return float((line.residual**2).sum())
+
+
+def nearest_angles(torus: Torus, problem: Problem) -> Array:
+    """alpha, beta (2, N) of the surface point nearest to each position, in the meridian half-plane.
+
+    The surface is met twice, at u = b cos(beta + gamma) + R = +sqrt(.) and -sqrt(.): the nearer counts.
+    """
+    q = (problem.p_world_sensor - torus.center[0]) @ torus.T_world_torus[0, :3, :3]
+    t_y, b = -torus.offset[1], -torus.offset[2]
+    root = np.sqrt(np.maximum(q[:, 1] ** 2 + q[:, 2] ** 2 - t_y**2, 0.0))
+    R = torus.major_radius
+    distance = [np.abs(np.hypot(u - R, q[:, 0]) - b) for u in (root, -root)]
+    u = np.where(distance[0] <= distance[1], root, -root)
+    alpha = np.arctan2(q[:, 2], q[:, 1]) - np.arctan2(u, t_y)
+    return np.stack([alpha, np.arctan2(q[:, 0], u - R)])
+
+
+def _estimate(
+    problem: Problem,
+    torus: Torus,
+    line: Linearisation,
+    angles: Array,
+    model: AngleModel,
+    active: Array,
+    iteration: int,
+    converged: bool,
+) -> Estimate:
+    redundancy = max(len(problem) - int(active.sum()), 1)
+    sigma = max(float(np.sqrt(_energy(line) / redundancy)), SIGMA_FLOOR_M)
+    C = marginal_covariance(reduce(line, model, problem, angles, (sigma,)).H, active)
+    note = Note(
+        "offset_not_determined",
+        "positions alone determine the torus, not the offset: every rotation of the sensor in its mount gives the same ones",
+    )
+    covariance = covariance_of(torus, C)
+    kept = [i for i, name in enumerate(covariance.names) if name.startswith(("major", "minor", "torus", "angular"))]
+    return Estimate(
+        "surface",
+        center=torus.center,
+        angular_axis=torus.angular_axis,
+        major_radius=torus.major_radius,
+        minor_radius=torus.minor_radius,
+        sigma_t=sigma,
+        covariance=covariance.select(kept),
+        residual=line.residual.T,
+        iterations=iteration,
+        converged=converged,
+        notes=(note,),
+    )
