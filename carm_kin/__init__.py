@@ -1,3 +1,26 @@
-"""carm-kin: radiation-free calibration of C-arms and the sensors attached to them."""
+"""carm-kin: radiation-free calibration of C-arms and the sensors attached to them.
+
+    recording = carm_kin.read_recording("rec.csv")
+    result = carm_kin.calibrate(recording)
+    result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m
+"""
+
+from carm_kin.calibrate import calibrate
+from carm_kin.errors import CarmKinError, InputError, MissingDependencyError
+from carm_kin.formats import read_recording, write_recording
+from carm_kin.recording import Recording
+from carm_kin.result import CalibrationResult
+from carm_kin.simulate import simulate
 
 __version__ = "0.1.0"
+__all__ = [
+    "CalibrationResult",
+    "CarmKinError",
+    "InputError",
+    "MissingDependencyError",
+    "Recording",
+    "calibrate",
+    "read_recording",
+    "simulate",
+    "write_recording",
+]

@@ -5,14 +5,14 @@ noises are estimated as variance components: the squared residuals of each kind 
 unknowns leave of them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from solvers import closed_form
 from solvers.covariance import active_unknowns, covariance_of, marginal_covariance
 from solvers.elimination import Reduced, reduce
-from solvers.estimate import Estimate
+from solvers.estimate import Estimate, Note
 from solvers.likelihood import AngleModel, Linearisation, linearise, retract
 from solvers.problem import Problem
 from solvers.se3 import Array
@@ -26,8 +26,11 @@ SIGMA_FLOOR = 1e-7
 class Options:
     """Options of the maximum-likelihood solver."""
 
-    fix_non_orthogonality: bool = False
-    """Take the axes as perpendicular instead of estimating epsilon."""
+    fix_non_orthogonality: bool | None = None
+    """True: take the axes as perpendicular. False: estimate epsilon. None: estimate it where the data
+    determine it to `max_non_orthogonality_sigma_rad`, else take 0 and say so."""
+    max_non_orthogonality_sigma_rad: float = float(np.radians(0.5))
+    """One-sigma of epsilon up to which it is estimated; real machines have 0.2 to 1 degree of it."""
     max_iterations: int = 40
     """Steps after which the solver gives up and says so."""
     tolerance: float = 1e-3
@@ -36,14 +39,32 @@ class Options:
 
 def solve(problem: Problem, options: Options = Options()) -> Estimate:
     """The most likely chain with its angles, noise and covariance. Needs orientations."""
-    start = closed_form.axes_of(problem, closed_form.Options(options.fix_non_orthogonality))
-    return refine(problem, start.torus(problem), options)
+    fixed = bool(options.fix_non_orthogonality)
+    estimate = refine(problem, _start(problem, fixed), options, fixed)
+    if options.fix_non_orthogonality is None:
+        sigma = _sigma_of_epsilon(estimate)
+        if sigma > options.max_non_orthogonality_sigma_rad:
+            note = Note(
+                "non_orthogonality_fixed",
+                f"the motion determines the non-orthogonality of the axes only to {np.degrees(sigma):.1f} deg (one sigma); "
+                "it was taken as 0",
+            )
+            return replace(refine(problem, _start(problem, True), options, True), notes=(note,))
+    return estimate
 
 
-def refine(problem: Problem, torus: Torus, options: Options = Options()) -> Estimate:
+def _start(problem: Problem, fixed: bool) -> Torus:
+    return closed_form.axes_of(problem, closed_form.Options(fixed)).torus(problem)
+
+
+def _sigma_of_epsilon(estimate: Estimate) -> float:
+    return float(estimate.covariance.sigma("axis_non_orthogonality")[0]) if estimate.covariance else 0.0
+
+
+def refine(problem: Problem, torus: Torus, options: Options, fix_non_orthogonality: bool) -> Estimate:
     """Maximum likelihood from a given start, whose zeros and senses of the angles are kept."""
     model = AngleModel.of(problem)
-    active = active_unknowns(torus, options.fix_non_orthogonality)
+    active = active_unknowns(torus, fix_non_orthogonality)
     angles = model.start(torus, problem)
     line = linearise(torus, angles, problem)
     sigma, damping, converged, iteration = _first_sigma(problem, line), 0.0, False, 0

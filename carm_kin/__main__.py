@@ -1,0 +1,5 @@
+"""``python -m carm_kin``."""
+
+from carm_kin.cli import main
+
+main()

@@ -1,0 +1,208 @@
+"""From a recording to a result: recording -> problem -> solver -> assessment -> result."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, fields, replace
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+import solvers
+from carm_kin import result as r
+from carm_kin.errors import InputError
+from carm_kin.provenance import provenance_of
+from carm_kin.recording import Recording, to_problem
+from solvers.assess import Assessment, Limits, assess
+from solvers.estimate import Covariance, Estimate, Note
+from solvers.problem import Problem
+from solvers.se3 import Array
+
+
+def calibrate(
+    recording: Recording,
+    solver: str | None = None,
+    *,
+    locus: str = "circle",
+    angular: str = "angular",
+    orbital: str = "orbital",
+    sigma_t_m: float | None = None,
+    sigma_r_rad: float | None = None,
+    limits: Limits = Limits(),
+    command: str | None = None,
+    **options: Any,
+) -> r.CalibrationResult:
+    """Calibrate a recording.
+
+    ``solver`` is one of `solvers.solver_names()`; by default ``kinematic``, or ``direct`` for a locus
+    other than the circle of a C-arm. ``angular`` and ``orbital`` name the joints of the two axes.
+    ``sigma_t_m`` and ``sigma_r_rad`` give the tracker's noise an axis; by default it is estimated.
+    ``options`` are those of the solver. A refusal is a result of status ``refused``, not an exception.
+
+    Raises InputError for an unknown solver or option, and where the recording lacks what the solver needs.
+    """
+    name = solver or ("kinematic" if locus == "circle" else "direct")
+    module = _module(name)
+    if locus != "circle":
+        if name != "direct":
+            raise InputError(f"locus '{locus}' needs the solver 'direct', not '{name}'")
+        options["locus"] = locus
+    chosen = _options(module, name, options)
+    problem = replace(to_problem(recording, angular, orbital), sigma_t=sigma_t_m, sigma_r=sigma_r_rad)
+    if problem.R_world_sensor is None and name != "surface":
+        raise InputError(f"the recording has no orientations (qw, qx, qy, qz), which '{name}' needs; use 'surface'")
+    provenance = provenance_of(recording, command, options.get("seed"))
+    if len(problem) < limits.min_poses:
+        return _too_few(recording, name, asdict(chosen), limits, provenance)
+    try:
+        estimate = module.solve(problem, chosen)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    assessment = assess(problem, estimate, limits)
+    return _result(recording, problem, estimate, assessment, asdict(chosen), provenance)
+
+
+def _module(name: str) -> ModuleType:
+    try:
+        return solvers.solver(name)
+    except KeyError:
+        raise InputError(f"solver '{name}' is unknown; it is one of {', '.join(solvers.solver_names())}") from None
+
+
+def _options(module: ModuleType, name: str, options: Mapping[str, Any]) -> Any:
+    """The solver's options. Raises InputError for a name that it does not have."""
+    known = [f.name for f in fields(module.Options)]
+    for option in options:
+        if option not in known:
+            raise InputError(f"solver '{name}' has no option '{option}'; it has {', '.join(known)}")
+    return module.Options(**options)
+
+
+def _result(
+    recording: Recording,
+    problem: Problem,
+    estimate: Estimate,
+    assessment: Assessment,
+    options: Mapping[str, Any],
+    provenance: r.Provenance,
+) -> r.CalibrationResult:
+    ok = assessment.refusal is None
+    torus, values = estimate.torus, assessment.singular_values
+    return r.CalibrationResult(
+        status="ok" if ok else "refused",
+        solver=estimate.solver,
+        options=options,
+        offset_sensor_pivot_m=estimate.offset if ok else None,
+        major_radius_m=abs(estimate.major_radius) if ok and estimate.major_radius is not None else None,
+        minor_radius_m=estimate.minor_radius if ok else None,
+        axis_non_orthogonality_rad=torus.non_orthogonality if ok and torus else None,
+        orbital_axis_sensor=torus.orbital_axis if ok and torus else None,
+        placements=_placements(recording, estimate) if ok else (),
+        T_sensor_carm=torus.T_sensor_carm if ok and torus else None,
+        orbital_referenced=torus.orbital_referenced if torus else False,
+        sigma=_sigma(estimate.covariance, len(estimate.center)) if ok else r.Sigma(),
+        covariance=estimate.covariance if ok else None,
+        noise=r.NoiseLevel(assessment.sigma_t, assessment.sigma_r, None in (problem.sigma_t, problem.sigma_r)),
+        residuals=_residuals("overall", assessment, slice(None), assessment.chi2_per_dof),
+        residuals_per_sweep=_residuals_per_sweep(recording, assessment),
+        poses=len(recording),
+        used=len(recording),
+        outliers=r.Outliers(0, ()),
+        observability=r.Observability(
+            values, float(values[0] / max(values[-1], 1e-300)) if values.size else None, assessment.unobservable
+        ),
+        warnings=(*recording.warnings, *estimate.notes, *_notes(estimate, ok)),
+        refusal=assessment.refusal,
+        provenance=provenance,
+        angles_rad=assessment.angles,
+    )
+
+
+def _too_few(
+    recording: Recording, solver: str, options: Mapping[str, Any], limits: Limits, provenance: r.Provenance
+) -> r.CalibrationResult:
+    """The refusal of a recording with fewer poses than any solver needs."""
+    nothing = Estimate(solver, center=np.zeros((len(recording.placements), 3)))
+    refusal = Note("too_few_poses", f"{len(recording)} poses; at least {limits.min_poses} are needed")
+    blank = Assessment(None, np.zeros((1, 3)), None, 0.0, None, 1.0, np.zeros(0), (refusal.message,), refusal)
+    return _result(recording, to_problem(recording), nothing, blank, options, provenance)
+
+
+def _placements(recording: Recording, estimate: Estimate) -> tuple[r.Placement, ...]:
+    torus, axis = estimate.torus, estimate.angular_axis
+    return tuple(
+        r.Placement(
+            label,
+            estimate.center[k],
+            None if axis is None else axis[k],
+            torus.T_world_torus[k] if torus else None,
+            bool(torus.referenced[k]) if torus else False,
+        )
+        for k, label in enumerate(recording.placements)
+    )
+
+
+def _sigma(covariance: Covariance | None, placements: int) -> r.Sigma:
+    if covariance is None:
+        return r.Sigma()
+
+    def vector(name: str) -> Array | None:
+        names = [f"{name}_{axis}" for axis in "xyz"]
+        return covariance.sigma(*names) if names[0] in covariance.names else None
+
+    def scalar(name: str) -> float | None:
+        return float(covariance.sigma(name)[0]) if name in covariance.names else None
+
+    return r.Sigma(
+        vector("offset_sensor_pivot"),
+        scalar("major_radius"),
+        scalar("minor_radius"),
+        scalar("axis_non_orthogonality"),
+        vector("orbital_axis_sensor"),
+        tuple(
+            r.PlacementSigma(vector(f"torus_center_world[{p}]"), vector(f"angular_axis_world[{p}]"))
+            for p in range(placements)
+        ),
+    )
+
+
+def _residuals(label: str, assessment: Assessment, poses: Any, chi2_per_dof: float | None) -> r.Residuals:
+    position, rotation = assessment.position_residual[poses], assessment.rotation_residual
+    return r.Residuals(
+        label,
+        _rms(position),
+        None if rotation is None else _rms(rotation[poses]),
+        chi2_per_dof,
+        len(position),
+    )
+
+
+def _residuals_per_sweep(recording: Recording, assessment: Assessment) -> tuple[r.Residuals, ...]:
+    rows = []
+    for sweep in recording.sweeps if len(assessment.position_residual) == len(recording) else ():
+        square = (assessment.position_residual[sweep.poses] ** 2).sum() / assessment.sigma_t**2
+        dof = assessment.position_residual.shape[1] * len(sweep.poses)
+        if assessment.rotation_residual is not None and assessment.sigma_r:
+            square += (assessment.rotation_residual[sweep.poses] ** 2).sum() / assessment.sigma_r**2
+            dof += 2 * len(sweep.poses)
+        rows.append(_residuals(sweep.label, assessment, sweep.poses, float(square / max(dof, 1))))
+    return tuple(rows)
+
+
+def _rms(vectors: Array) -> float:
+    return float(np.sqrt((vectors**2).sum(axis=1).mean()))
+
+
+def _notes(estimate: Estimate, ok: bool) -> list[Note]:
+    notes = []
+    if not estimate.converged:
+        notes.append(Note("not_converged", f"the solver stopped after {estimate.iterations} steps without converging"))
+    if ok and estimate.covariance is None:
+        notes.append(
+            Note("no_covariance", f"'{estimate.solver}' gives no uncertainty here; the solver 'kinematic' does")
+        )
+    torus = estimate.torus
+    if ok and torus and not torus.referenced.all():
+        notes.append(Note("angular_zero_convention", "no label gives alpha = 0: it is taken at the first pose"))
+    if ok and torus and not torus.orbital_referenced:
+        notes.append(Note("orbital_zero_convention", "no label gives beta = 0: it is taken at the first pose"))
+    return notes

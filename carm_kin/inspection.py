@@ -1,0 +1,71 @@
+"""What a URDF says of a C-arm: its chain, ranges and nominal two-axis geometry."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from carm_kin.chain import Chain, NominalGeometry, chain_of, nominal_geometry
+from carm_kin.urdf import read_urdf
+
+
+@dataclass(frozen=True, eq=False)
+class Inspection:
+    """A chain and its nominal geometry."""
+
+    name: str
+    chain: Chain
+    geometry: NominalGeometry
+
+    def to_dict(self) -> dict[str, Any]:
+        """The same as JSON values, units in the names."""
+        geometry = self.geometry
+        return {
+            "urdf": self.name,
+            "base_link": self.chain.base_link,
+            "sensor_link": self.chain.sensor_link,
+            "joints": [self._joint(j) for j in range(len(self.chain.names))],
+            "angular": self.chain.names[self.chain.angular],
+            "orbital": self.chain.names[self.chain.orbital],
+            "major_radius_mm": abs(geometry.major_radius) * 1e3,
+            "axis_non_orthogonality_deg": float(np.degrees(geometry.non_orthogonality)),
+            "minor_radius_mm": geometry.minor_radius * 1e3,
+            "isocentric": bool(geometry.isocentric),
+            "offset_sensor_pivot_mm": (geometry.offset * 1e3).tolist(),
+        }
+
+    def _joint(self, j: int) -> dict[str, Any]:
+        prismatic = self.chain.types[j] == "prismatic"
+        scale, unit = (1e3, "mm") if prismatic else (float(np.degrees(1)), "deg")
+        limits = [float(x * scale) if np.isfinite(x) else None for x in (self.chain.lower[j], self.chain.upper[j])]
+        name, kind = self.chain.names[j], self.chain.types[j]
+        return {"name": name, "type": kind, f"lower_{unit}": limits[0], f"upper_{unit}": limits[1]}
+
+
+def inspect(urdf: str | Path, sensor_link: str | None, angular: str | None, orbital: str | None) -> Inspection:
+    """Read a URDF (a path or a bundled name). Raises InputError for a broken file or an unknown name."""
+    file = read_urdf(urdf)
+    chain = chain_of(file, sensor_link, angular, orbital)
+    return Inspection(Path(file.path).name, chain, nominal_geometry(chain))
+
+
+def show(found: Inspection, console: Console | None = None) -> None:
+    """Print it, by default on stdout."""
+    console = console or Console(highlight=False)
+    data = found.to_dict()
+    table = Table("joint", "type", "from", "to", "", "role", title=f"{found.name}: {data['base_link']} to {data['sensor_link']}")
+    roles = {data["angular"]: "angular axis (alpha)", data["orbital"]: "orbital axis (beta)"}
+    for joint in data["joints"]:
+        unit = "mm" if "lower_mm" in joint else "deg"
+        low, high = ("" if x is None else f"{x:.1f}" for x in (joint[f"lower_{unit}"], joint[f"upper_{unit}"]))
+        table.add_row(joint["name"], joint["type"], low, high, unit, roles.get(joint["name"], ""))
+    console.print(table)
+    isocentric = "isocentric" if data["isocentric"] else "not isocentric"
+    console.print(f"major radius          {data['major_radius_mm']:.3f} mm ({isocentric})")
+    console.print(f"non-orthogonality     {data['axis_non_orthogonality_deg']:.3f} deg")
+    console.print(f"minor radius          {data['minor_radius_mm']:.3f} mm")
+    x, y, z = data["offset_sensor_pivot_mm"]
+    console.print(f"offset sensor->pivot  ({x:.3f}, {y:.3f}, {z:.3f}) mm")
