@@ -113,6 +113,8 @@ BROKEN = {
     "long row": (table("# c\n" + HEADER, POSE, POSE + ",0.5"), 4, "8", ["8 cells", "has 7"]),
     "word": (table(HEADER, POSE, "", "# c", "1,2,three,1,0,0,0"), 5, "z_mm", ["'three'", "not a number"]),
     "underscore": (table(HEADER, "1_0,2,3,1,0,0,0"), 2, "x_mm", ["'1_0'", "not a number"]),
+    "wide digit": (table(HEADER, "1,2,\uff11,1,0,0,0"), 2, "z_mm", ["not a number"]),
+    "DOS line ends": (table(HEADER, POSE, "1,2,x,1,0,0,0").replace("\n", "\r\n"), 3, "z_mm", ["'x'"]),
     "hexadecimal": (table(HEADER, "1,2,0x1,1,0,0,0"), 2, "z_mm", ["'0x1'", "not a number"]),
     "nan": (table(HEADER, POSE, "1,NaN,3,1,0,0,0"), 3, "y_mm", ["not finite", "empty"]),
     "infinity": (table(HEADER, "1,2,3,1,0,0,-inf"), 2, "qz", ["not finite"]),
@@ -125,6 +127,7 @@ BROKEN = {
     "time not given": (table(HEADER + ",time_s", ",,,,,,,", POSE + ","), 3, "time_s", ["empty"]),
     "joint without unit": (table(HEADER + ",q_lift", POSE + ",1"), 1, "q_lift", ["q_<joint>_deg"]),
     "joint with a strange unit": (table(HEADER + ",q_lift_cm", POSE + ",1"), 1, "q_lift_cm", ["unit", "q_<joint>_mm"]),
+    "joint with more than a unit": (table(HEADER + ",q_a_degree", POSE + ",1"), 1, "q_a_degree", ["unit"]),
     "joint without a name": (table(HEADER + ",q__deg", POSE + ",1"), 1, "q__deg", ["q_<joint>_deg"]),
     "joint twice": (table(HEADER + ",q_a_deg,q_a_mm", POSE + ",1,1"), 1, "q_a_mm", ["'a'", "q_a_deg"]),
     "joint value": (table(HEADER + ",q_a_deg", POSE + ",", POSE + ",ten"), 3, "q_a_deg", ["'ten'", "not a number"]),
@@ -166,11 +169,14 @@ def test_a_broken_file_is_refused_with_the_place_and_the_reason(tmp_path, case):
     assert "\n" not in message
 
 
-def test_a_bad_cell_far_below_is_found(tmp_path):
+@pytest.mark.parametrize(
+    "row, place", [("1,2,3,1,0,x,0", "column qy: 'x' is not a number"), ("1,2,3", "column qw: the row has 3")]
+)
+def test_a_bad_row_far_below_is_found(tmp_path, row, place):
     n = 2 * native._CHUNK + 5
     rows = [POSE] * n
-    rows[n - 2] = "1,2,3,1,0,x,0"
-    with pytest.raises(InputError, match=f"line {n}, column qy: 'x' is not a number"):
+    rows[n - 2] = row
+    with pytest.raises(InputError, match=f"line {n}, {place}"):
         read_recording(file_of(tmp_path, table(HEADER, *rows)))
 
 
@@ -260,10 +266,20 @@ def test_what_was_read_in_mm_and_deg_is_written_in_them(tmp_path, rows):
 
 
 def test_round_numbers_stay_round(tmp_path):
-    text = table("x_mm,y_mm,z_mm,q_a_deg,q_b_mm", "0.1,-63.788,2031.484,10.0,0.3", "1.0,2.0,3.0,359.9,")
+    tenths = [str(value / 10) for value in range(-3600, 3600)]
+    text = table("x_mm,y_mm,z_mm,q_a_deg,q_b_mm", *(f"{value},{value},{value},{value},{value}" for value in tenths))
     recording = read_recording(file_of(tmp_path, text))
+    assert recording.p_world_sensor[:, 0].tolist() == [float(value) / 1000 for value in tenths]
     write_recording(recording, tmp_path / "again.csv")
     assert (tmp_path / "again.csv").read_text() == text
+
+
+def test_every_angle_that_was_read_can_be_written_in_degrees(tmp_path):
+    angles = np.random.default_rng(0).uniform(-360, 360, 20_000).tolist()
+    recording = read_recording(file_of(tmp_path, table("x_m,y_m,z_m,q_a_deg", *(f"0,0,0,{q!r}" for q in angles))))
+    write_recording(recording, tmp_path / "again.csv")
+    assert (tmp_path / "again.csv").read_text().startswith("x_mm,y_mm,z_mm,q_a_deg\n")
+    assert_same(recording, read_recording(tmp_path / "again.csv"))
 
 
 @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
