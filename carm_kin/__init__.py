@@ -1,8 +1,8 @@
 """carm-kin: radiation-free calibration of C-arms and the sensors attached to them.
 
-    recording = carm_kin.read_recording("rec.csv")
-    result = carm_kin.calibrate(recording)
-    result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m
+recording = carm_kin.read_recording("rec.csv")
+result = carm_kin.calibrate(recording)
+result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m
 """
 
 from carm_kin.calibrate import calibrate

@@ -94,7 +94,7 @@ def _result(
         offset_sensor_pivot_m=estimate.offset if ok else None,
         major_radius_m=abs(estimate.major_radius) if ok and estimate.major_radius is not None else None,
         minor_radius_m=estimate.minor_radius if ok else None,
-        axis_non_orthogonality_rad=torus.non_orthogonality if ok and torus else None,
+        axis_non_orthogonality_rad=torus.non_orthogonality + 0.0 if ok and torus else None,
         orbital_axis_sensor=torus.orbital_axis if ok and torus else None,
         placements=_placements(recording, estimate) if ok else (),
         T_sensor_carm=torus.T_sensor_carm if ok and torus else None,

@@ -4,6 +4,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from rich import box
 from rich.console import Console
 from rich.table import Table
 
@@ -35,9 +36,9 @@ def run(folder: Path, seed: int) -> None:
         f"Simulated {len(recording)} poses of the C-arm '{MACHINE}' in eight sweeps, "
         f"noise {SIGMA_T_M * 1e3:.2f} mm and {np.degrees(SIGMA_R_RAD):.2f} deg an axis.\n"
     )
-    table = Table(
-        "solver", "offset error", "R error", "axis error", "sigma of offset", "residual", "time", title="Errors against the truth"
-    )
+    table = Table(title="Errors against the truth, mm and deg", padding=(0, 1), box=box.SIMPLE)
+    for column in ("solver", "offset", "its sigma", "R", "axis", "residual", "time"):
+        table.add_column(column, no_wrap=True, justify="left" if column == "solver" else "right")
     for name in solvers.solver_names():
         result, seconds = _timed(recording, name)
         result.to_json(folder / f"{name}.json")
@@ -45,8 +46,8 @@ def run(folder: Path, seed: int) -> None:
     console.print(table)
     console.print("\nThe default solver, kinematic, says:")
     summary.show(calibrate(recording), console)
-    x, y, z = truth.offset_sensor_pivot_m * 1e3 if truth.offset_sensor_pivot_m is not None else (0, 0, 0)
-    console.print(f"truth: offset ({x:.3f}, {y:.3f}, {z:.3f}) mm, major radius {(truth.major_radius_m or 0) * 1e3:.3f} mm")
+    console.print("\nThe truth:")
+    summary.show(truth, console)
     console.print(f"\nRecording, truth and results are in {folder}/")
     console.print(f"Next: carm-kin calibrate {folder / 'recording.csv'}")
 
@@ -60,16 +61,14 @@ def _timed(recording: Recording, solver: str) -> tuple[CalibrationResult, float]
 
 
 def _errors(result: CalibrationResult, truth: CalibrationResult) -> list[str]:
-    cells = []
-    offset, true_offset = result.offset_sensor_pivot_m, truth.offset_sensor_pivot_m
-    missing = offset is None or true_offset is None
-    cells.append("not given" if missing else f"{np.linalg.norm(offset - true_offset) * 1e3:.3f} mm")
-    radius = (result.major_radius_m or 0.0) - (truth.major_radius_m or 0.0)
-    cells.append(f"{radius * 1e3:+.3f} mm")
+    """Cells of the table; a dash where the solver gives no such number."""
+    offset, sigma = result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m
     axes = [r.placements[0].angular_axis_world if r.placements else None for r in (result, truth)]
-    known = axes[0] is not None and axes[1] is not None
-    cells.append(f"{np.degrees(np.linalg.norm(np.cross(*axes))):.4f} deg" if known else "not given")
-    sigma = result.sigma.offset_sensor_pivot_m
-    cells.append("not given" if sigma is None else f"{np.linalg.norm(sigma) * 1e3:.3f} mm")
-    cells.append(f"{result.residuals.translation_rms_m * 1e3:.3f} mm")
-    return cells
+    errors = [
+        None if offset is None else np.linalg.norm(offset - truth.offset_sensor_pivot_m) * 1e3,
+        None if sigma is None else np.linalg.norm(sigma) * 1e3,
+        None if result.major_radius_m is None else (result.major_radius_m - (truth.major_radius_m or 0.0)) * 1e3,
+        None if axes[0] is None else np.degrees(np.linalg.norm(np.cross(axes[0], axes[1]))),
+        result.residuals.translation_rms_m * 1e3,
+    ]
+    return ["-" if error is None else f"{error:.4f}" for error in errors]

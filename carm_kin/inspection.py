@@ -56,7 +56,9 @@ def show(found: Inspection, console: Console | None = None) -> None:
     """Print it, by default on stdout."""
     console = console or Console(highlight=False)
     data = found.to_dict()
-    table = Table("joint", "type", "from", "to", "", "role", title=f"{found.name}: {data['base_link']} to {data['sensor_link']}")
+    table = Table(
+        "joint", "type", "from", "to", "", "role", title=f"{found.name}: {data['base_link']} to {data['sensor_link']}"
+    )
     roles = {data["angular"]: "angular axis (alpha)", data["orbital"]: "orbital axis (beta)"}
     for joint in data["joints"]:
         unit = "mm" if "lower_mm" in joint else "deg"

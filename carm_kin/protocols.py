@@ -144,7 +144,10 @@ def _read(path: Path) -> list[SweepPlan]:
         raise InputError(f"no valid TOML: {error}", file=path) from None
     tables = content.get("sweep")
     if not isinstance(tables, list) or not tables:
-        raise InputError("no [[sweep]] table; each needs moving, from_deg, to_deg and may have step_deg, held_deg, held_mm", file=path)
+        raise InputError(
+            "no [[sweep]] table; each needs moving, from_deg, to_deg and may have step_deg, held_deg, held_mm",
+            file=path,
+        )
     return [_plan(path, k, table) for k, table in enumerate(tables)]
 
 
@@ -155,7 +158,8 @@ def _plan(path: Path, k: int, table: dict) -> SweepPlan:
         numbers = np.array([plan.from_deg, plan.to_deg, plan.step_deg, *plan.held_deg.values(), *plan.held_mm.values()])
     except (TypeError, AttributeError):
         raise InputError(
-            f"{place}: needs moving, from_deg, to_deg; may have step_deg, held_deg, held_mm; has {', '.join(table)}", file=path
+            f"{place}: needs moving, from_deg, to_deg; may have step_deg, held_deg, held_mm; has {', '.join(table)}",
+            file=path,
         ) from None
     if numbers.dtype.kind not in "if" or not np.isfinite(numbers).all():
         raise InputError(f"{place}: every angle and position must be a finite number", file=path)

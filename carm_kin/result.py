@@ -188,7 +188,7 @@ def _plain(value: Any, name: str) -> Any:
     if is_dataclass(value) and not isinstance(value, type):
         return {_unit_name(f.name): _plain(getattr(value, f.name), f.name) for f in fields(value)}
     if isinstance(value, Mapping):
-        return {str(k): _plain(v, str(k)) for k, v in value.items()}
+        return {_unit_name(str(k)): _plain(v, str(k)) for k, v in value.items()}
     if isinstance(value, (tuple, list)):
         return [_plain(v, name) for v in value]
     if isinstance(value, np.ndarray):

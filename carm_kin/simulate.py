@@ -123,9 +123,7 @@ def _disturbed(T: Array, noise: Noise, rng: np.random.Generator) -> tuple[Array,
     return p, R, replaced
 
 
-def _recording(
-    chain: Chain, plan: list[Motion], placement: np.ndarray, p: Array, R: Array, labels: bool
-) -> Recording:
+def _recording(chain: Chain, plan: list[Motion], placement: np.ndarray, p: Array, R: Array, labels: bool) -> Recording:
     placements = (placement + 1).astype(str) if placement.any() else None
     if not labels:
         return Recording(p, R, placement=placements)

@@ -8,7 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from solvers import kinematic
-from solvers.covariance import active_unknowns, covariance_of, marginal_covariance, scaled_spectrum
+from solvers.covariance import (
+    active_unknowns,
+    covariance_of,
+    marginal_covariance,
+    reported_jacobian,
+    scaled_spectrum,
+)
 from solvers.estimate import Covariance, Estimate, Note
 from solvers.likelihood import linearise
 from solvers.problem import Problem
@@ -98,8 +104,8 @@ def _assess_positions(problem: Problem, estimate: Estimate, limits: Limits) -> A
         refusal = _too_few(problem, limits)
     elif sigma > limits.max_sigma_t_m:
         refusal = _misfit(sigma, 0.0)
-    elif estimate.unobservable:
-        refusal = Note("unobservable", "; ".join(estimate.unobservable))
+    elif estimate.covariance and estimate.covariance.block("offset").size:
+        refusal = _uncertain(estimate.covariance, limits)
     given = problem.sigma_t
     return Assessment(
         angles=None,
@@ -129,8 +135,6 @@ def _joints_at_rest(torus: Torus, angles: Array, sigma: tuple[float, float], lim
 
 def _in_words(torus: Torus, active: Array, null: Array) -> tuple[str, ...]:
     """Which reported quantities each null direction (columns of ``null``) moves."""
-    from solvers.covariance import reported_jacobian
-
     J, names = reported_jacobian(torus)
     sentences = []
     for x in null.T:
@@ -170,6 +174,10 @@ def _refusal(
     if unobservable:
         code = "one_axis_only" if still else "unobservable"
         return Note(code, "; ".join(unobservable))
+    return _uncertain(covariance, limits)
+
+
+def _uncertain(covariance: Covariance, limits: Limits) -> Note | None:
     worst = float(np.sqrt(np.linalg.eigvalsh(covariance.block("offset"))[-1]))
     if worst > limits.max_offset_sigma_m:
         return Note(

@@ -13,13 +13,17 @@ import casadi as ca
 import numpy as np
 
 from solvers import closed_form, decomposed, loci
-from solvers.estimate import Estimate
+from solvers.estimate import Covariance, Estimate
 from solvers.loci import Locus
 from solvers.problem import Problem
 from solvers.se3 import Array
 
 CHUNK = 1008
 """Poses that one call of the mapped function takes; the last chunk is padded with weight 0."""
+
+LEAST_DAMPING = 1e-9
+"""Relative to a unit diagonal: too small to slow a determined direction, large enough that rounding does
+not drive the solver along an undetermined one."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,7 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
 def minimise(problem: Problem, chosen: Locus, theta: Array, lever: float, max_iterations: int) -> Estimate:
     """Gauss-Newton with Levenberg's damping from ``theta`` (P, size)."""
     poses = _chunks(problem)
-    damping, converged, iteration = 1e-9, False, 0
+    damping, converged, iteration = LEAST_DAMPING, False, 0
     H, g, energy = _normal_equations(chosen, poses, theta, lever)
     for iteration in range(1, max_iterations + 1):
         scale = np.sqrt(np.maximum(np.diagonal(H), 1e-12 * H.diagonal().max()))
@@ -65,18 +69,45 @@ def minimise(problem: Problem, chosen: Locus, theta: Array, lever: float, max_it
         step = -np.linalg.solve(A, g / scale) / scale
         trial = _retract(chosen, theta, step)
         trial_equations = _normal_equations(chosen, poses, trial, lever)
-        if trial_equations[2] > energy:
-            damping = max(10 * damping, 1e-12)
-            converged = damping > 1e6
+        gain = energy - trial_equations[2]
+        if gain < 0:
+            damping *= 10
+            converged = damping > 1e6 or -gain <= 1e-12 * energy
         else:
-            gain = energy - trial_equations[2]
             theta, (H, g, energy) = trial, trial_equations
-            damping = max(damping * 0.1, 1e-12)
-            converged = gain <= 1e-12 * energy or np.abs(step).max() < 1e-12
+            damping = max(damping * 0.1, LEAST_DAMPING)
+            converged = gain <= 1e-9 * energy or np.abs(step).max() < 1e-12
         if converged:
             break
-    more = {"null_direction_sensor": _null_direction(chosen, H, len(theta))} if chosen.size == 10 else {}
-    return chosen.estimate(theta, problem, iterations=iteration, converged=converged, **more)
+    return _estimate(problem, chosen, poses, theta, lever, iteration, bool(converged))
+
+
+def _estimate(
+    problem: Problem, chosen: Locus, poses: list, theta: Array, lever: float, iteration: int, converged: bool
+) -> Estimate:
+    """The answer with the residuals of the locus and a covariance that trusts the residuals alone.
+
+    inv(H) (sum g_i g_iT) inv(H) with g_i the gradient of one pose holds whatever mixture of position and
+    rotation noise made the residuals; it is scaled by N / (N - unknowns / residuals of a pose).
+    """
+    H, scatter, residual = _scatter(problem, chosen, poses, theta, lever)
+    spread = np.sqrt(np.maximum(H.diagonal(), np.finfo(float).tiny))
+    values, vectors = np.linalg.eigh(H / np.outer(spread, spread))
+    inverse = ((vectors / np.maximum(values, 1e-15)) @ vectors.T) / np.outer(spread, spread)
+    free = max(len(problem) - len(H) / residual.shape[1], 1.0)
+    names, J = chosen.reported(theta)
+    covariance = Covariance(names, J @ inverse @ scatter @ inverse @ J.T * (len(problem) / free))
+    least = vectors[:, 0] / spread
+    return chosen.estimate(
+        theta,
+        problem,
+        null_direction_sensor=least,
+        residual=residual,
+        covariance=covariance,
+        sigma_t=float(np.sqrt((residual**2).sum() / max(residual.size - len(H), 1))),
+        iterations=iteration,
+        converged=converged,
+    )
 
 
 def _locus(options: Options) -> Locus:
@@ -102,8 +133,7 @@ def _start(problem: Problem, chosen: Locus, options: Options) -> Array:
         axes = decomposed.axes_of(problem, decomposed.Options(options.fix_non_orthogonality, iterations=0))
     else:
         axes = closed_form.axes_of(problem, closed_form.Options(options.fix_non_orthogonality))
-    shifted = axes.offset + options.shift_start_m * axes.orbital_axis
-    return chosen.theta(replace(axes, offset=shifted))
+    return chosen.theta(replace(axes, offset=axes.offset + options.shift_start_m * axes.orbital_axis))
 
 
 def _chunks(problem: Problem) -> list[list[ca.DM]]:
@@ -132,37 +162,50 @@ def _mapped(chosen: Locus) -> tuple[ca.Function, int]:
     return one.map("rows_of_chunk", "serial", CHUNK, [0, 2], []), e.numel()
 
 
+def _layout(chosen: Locus, theta: Array) -> tuple[list[Array], list[Array], int]:
+    """Tangent bases of the placements, the columns of each among all unknowns, and their number."""
+    bases = [chosen.basis(x) for x in theta]
+    own = int(np.any(bases[0][: chosen.own], axis=0).sum())
+    shared = len(theta) * own + np.arange(bases[0].shape[1] - own)
+    columns = [np.concatenate([k * own + np.arange(own), shared]) for k in range(len(theta))]
+    return bases, columns, int(columns[0].max()) + 1
+
+
 def _normal_equations(chosen: Locus, poses: list, theta: Array, lever: float) -> tuple[Array, Array, float]:
     """H (k, k), gradient (k,) in the tangent space of all unknowns, and the energy, m^2."""
     function, rows = _mapped(chosen)
-    P, bases = len(theta), [chosen.basis(x) for x in theta]
-    own = int(np.any(bases[0][: chosen.own], axis=0).sum())
-    shared = bases[0].shape[1] - own
-    size = P * own + shared
+    bases, columns, size = _layout(chosen, theta)
     H, g, energy = np.zeros((size, size)), np.zeros(size), 0.0
     for k, blocks in enumerate(poses):
-        columns = np.concatenate([k * own + np.arange(own), P * own + np.arange(shared)])
+        M = np.zeros((chosen.size + 1, chosen.size + 1))
         for block in blocks:
-            Je = np.asarray(function(theta[k], block, lever)).reshape(chosen.size + 1, rows * CHUNK).T
-            J = Je[:, :-1] @ bases[k]
-            H[np.ix_(columns, columns)] += J.T @ J
-            g[columns] += J.T @ Je[:, -1]
-            energy += float(Je[:, -1] @ Je[:, -1])
+            Je = function(theta[k], block, lever).full().reshape(chosen.size + 1, rows * CHUNK)
+            M += Je @ Je.T
+        H[np.ix_(columns[k], columns[k])] += bases[k].T @ M[:-1, :-1] @ bases[k]
+        g[columns[k]] += bases[k].T @ M[:-1, -1]
+        energy += float(M[-1, -1])
     return H, g, energy
 
 
+def _scatter(problem: Problem, chosen: Locus, poses: list, theta: Array, lever: float) -> tuple[Array, Array, Array]:
+    """H (k, k), the sum of g_i g_iT (k, k) over the poses, and the residuals (N, rows), m."""
+    function, rows = _mapped(chosen)
+    bases, columns, size = _layout(chosen, theta)
+    H, scatter, residual = np.zeros((size, size)), np.zeros((size, size)), np.zeros((len(problem), rows))
+    for k, blocks in enumerate(poses):
+        Je = [function(theta[k], block, lever).full().reshape(chosen.size + 1, rows, CHUNK) for block in blocks]
+        here = np.flatnonzero(problem.placement == k)
+        all_poses = np.concatenate(Je, axis=2)[:, :, : len(here)]
+        J, e = np.einsum("irn,ij->jrn", all_poses[:-1], bases[k]), all_poses[-1]
+        gradient = (J * e).sum(axis=1)
+        index = np.ix_(columns[k], columns[k])
+        scatter[index] += gradient @ gradient.T
+        H[index] += np.einsum("irn,jrn->ij", J, J)
+        residual[here] = e.T
+    return H, scatter, residual
+
+
 def _retract(chosen: Locus, theta: Array, step: Array) -> Array:
-    P, bases = len(theta), [chosen.basis(x) for x in theta]
-    own = int(np.any(bases[0][: chosen.own], axis=0).sum())
-    moved = [
-        x + B @ np.concatenate([step[k * own : (k + 1) * own], step[P * own :]])
-        for k, (x, B) in enumerate(zip(theta, bases, strict=True))
-    ]
+    bases, columns, _ = _layout(chosen, theta)
+    moved = [x + B @ step[index] for x, B, index in zip(theta, bases, columns, strict=True)]
     return chosen.normalised(np.stack(moved))
-
-
-def _null_direction(chosen: Locus, H: Array, P: int) -> Array:
-    """Unit direction of the offset (sensor frame) in the eigenvector of least curvature."""
-    scale = np.sqrt(H.diagonal())
-    vector = np.linalg.eigh(H / np.outer(scale, scale))[1][:, 0] / scale
-    return vector[-3:] / np.linalg.norm(vector[-3:])

@@ -57,9 +57,7 @@ def log_so3(R: ArrayLike) -> Array:
 
 def log_so3_small(R: Array) -> Array:
     """`log_so3` for rotations below about 90 degrees, from the skew part alone; three times faster."""
-    v = 0.5 * np.stack(
-        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1
-    )
+    v = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
     sine = np.linalg.norm(v, axis=-1)
     cosine = 0.5 * (R[..., 0, 0] + R[..., 1, 1] + R[..., 2, 2] - 1)
     angle = np.arctan2(sine, cosine)

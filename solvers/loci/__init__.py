@@ -6,9 +6,10 @@ vectors stand in theta with three entries; `Locus.basis` gives the directions in
 
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import Protocol
+from typing import Any, Protocol
 
 import casadi as ca
+import numpy as np
 
 from solvers.estimate import Estimate
 from solvers.problem import Problem
@@ -41,9 +42,28 @@ class Locus(Protocol):
         """(P, size) initial theta from the poses alone."""
         ...
 
-    def estimate(self, theta: Array, problem: Problem, **more) -> Estimate:
-        """The answer in the project's terms, from theta (P, size)."""
+    def reported(self, theta: Array) -> tuple[tuple[str, ...], Array]:
+        """Names of the reported quantities and their derivative (K, k) by the tangent of all unknowns."""
         ...
+
+    def estimate(self, theta: Array, problem: Problem, null_direction_sensor: Array, **more: Any) -> Estimate:
+        """The answer in the project's terms, from theta (P, size). ``null_direction_sensor`` is the tangent
+        vector of least curvature."""
+        ...
+
+
+def reported_by_name(named: dict[str, Array], placements: dict[str, list[Array]]) -> tuple[tuple[str, ...], Array]:
+    """Names and rows of `Locus.reported`: vectors get the endings _x, _y, _z, placements their number."""
+    entries = list(named.items())
+    entries += [
+        (f"{name}[{k}]", rows[k])
+        for k in range(max(map(len, placements.values())))
+        for name, rows in placements.items()
+    ]
+    names: list[str] = []
+    for name, J in entries:
+        names += [name] if len(J) == 1 else [f"{name}_{axis}" for axis in "xyz"]
+    return tuple(names), np.vstack([J for _, J in entries])
 
 
 def locus_names() -> tuple[str, ...]:

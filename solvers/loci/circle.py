@@ -6,12 +6,14 @@ With y = R_i a the orbital axis in the world, n the angular axis and z = n x y n
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from solvers import closed_form
 from solvers.estimate import Estimate
+from solvers.loci import reported_by_name
 from solvers.problem import Problem
 from solvers.se3 import Array, orthonormal_complement
 from solvers.torus import Axes
@@ -63,7 +65,33 @@ class Locus:
         own = np.concatenate([axes.center, axes.angular_axis], axis=1)
         return np.concatenate([own, np.broadcast_to(shared, (len(own), 8))], axis=1)
 
-    def estimate(self, theta: Array, problem: Problem, **more) -> Estimate:
+    def reported(self, theta: Array) -> tuple[tuple[str, ...], Array]:
+        """All quantities of the chain, for the directions of n and a that theta has."""
+        P, bases = len(theta), [self.basis(x) for x in theta]
+        size = 5 * P + bases[0].shape[1] - 5
+
+        def rows(entries: slice, k: int = 0) -> Array:
+            J = np.zeros((len(theta[0, entries]), size))
+            J[:, 5 * k : 5 * k + 5], J[:, 5 * P :] = bases[k][entries, :5], bases[k][entries, 5:]
+            return J
+
+        t, a = theta[0, T], theta[0, A]
+        lever = t - a * (a @ t)
+        lever /= max(float(np.linalg.norm(lever)), np.finfo(float).tiny)
+        shared = {
+            "offset_sensor_pivot": rows(T),
+            "major_radius": rows(slice(RADIUS, RADIUS + 1)),
+            "minor_radius": lever[None] @ rows(T) - (a @ t) * lever[None] @ rows(A),
+            "axis_non_orthogonality": rows(slice(SINE, SINE + 1)) / np.sqrt(1 - theta[0, SINE] ** 2),
+            "orbital_axis_sensor": rows(A),
+        }
+        own = {
+            "torus_center_world": [rows(C, k) for k in range(P)],
+            "angular_axis_world": [rows(N, k) for k in range(P)],
+        }
+        return reported_by_name(shared, own)
+
+    def estimate(self, theta: Array, problem: Problem, null_direction_sensor: Array, **more: Any) -> Estimate:
         """The complete chain, its zeros set by the labels."""
         shared = theta[0]
         epsilon = float(np.arcsin(np.clip(shared[SINE], -1, 1)))

@@ -5,12 +5,14 @@ offset is undetermined along that axis: a solver stops wherever it started. `est
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from solvers import closed_form
 from solvers.estimate import Estimate, Note
+from solvers.loci import reported_by_name
 from solvers.problem import Problem
 from solvers.se3 import Array, orthonormal_complement
 from solvers.torus import Axes
@@ -55,13 +57,26 @@ class Locus:
         own = np.concatenate([axes.center, axes.angular_axis], axis=1)
         return np.concatenate([own, np.broadcast_to(shared, (len(own), 4))], axis=1)
 
-    def estimate(self, theta: Array, problem: Problem, **more) -> Estimate:
+    def reported(self, theta: Array) -> tuple[tuple[str, ...], Array]:
+        """Centre and plane; offset and radius have no finite variance."""
+        P, bases = len(theta), [self.basis(x) for x in theta]
+        size = 5 * P + 4
+
+        def rows(entries: slice, k: int) -> Array:
+            J = np.zeros((3, size))
+            J[:, 5 * k : 5 * k + 5] = bases[k][entries, :5]
+            return J
+
+        centers, axes = [rows(C, k) for k in range(P)], [rows(N, k) for k in range(P)]
+        return reported_by_name({}, {"torus_center_world": centers, "angular_axis_world": axes})
+
+    def estimate(self, theta: Array, problem: Problem, null_direction_sensor: Array, **more: Any) -> Estimate:
         """Offset, radius, centre and plane as they came to rest, with the null direction."""
-        direction = more["null_direction_sensor"]
+        direction = null_direction_sensor[-3:] / np.linalg.norm(null_direction_sensor[-3:])
+        words = f"along the orbital axis, ({direction[0]:+.4f}, {direction[1]:+.4f}, {direction[2]:+.4f}) in the sensor frame"
         note = Note(
             "gauge_undetermined",
-            "gauge 'published' leaves the offset undetermined along the orbital axis, in the sensor frame "
-            f"({direction[0]:+.4f}, {direction[1]:+.4f}, {direction[2]:+.4f}): offset and major radius are those of the "
+            f"gauge 'published' leaves the offset undetermined {words}: offset and major radius are those of the "
             "point of that axis where the solver happened to stop; use gauge 'tangent'",
         )
         return Estimate(
@@ -70,6 +85,8 @@ class Locus:
             offset=theta[0, T],
             angular_axis=theta[:, N],
             major_radius=float(abs(theta[0, RADIUS])),
+            null_direction_sensor=direction,
+            unobservable=(f"the offset {words}",),
             notes=(note,),
             **more,
         )
