@@ -11,6 +11,7 @@ import difflib
 import hashlib
 import os
 import re
+import sys
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -266,7 +267,7 @@ def _cells(lines: _Lines, columns: _Columns) -> tuple[dict[str, Array], dict[str
         _check_width(lines, columns.names, start, rows)
         for name, cells in zip(columns.names, zip(*rows, strict=True), strict=True):
             if name in text:
-                text[name].extend(cells)
+                text[name].extend(map(sys.intern, cells))
             else:
                 numbers[name][start : start + len(cells)] = _numbers(lines, name, start, cells)
     return numbers, text
