@@ -160,12 +160,13 @@ def nominal_geometry(chain: Chain, q: ArrayLike | None = None) -> NominalGeometr
     sine = float(np.linalg.norm(across))
     names = chain.names[first], chain.names[second]
     if sine < 1e-6:
-        raise InputError(f"the axes of the joints {names[0]!r} and {names[1]!r} are parallel: no C-arm")
+        raise InputError(
+            f"the axes of the joints {names[0]!r} and {names[1]!r} are parallel; name two others (angular, orbital)"
+        )
     z = across / sine
     center = on_n + n * (np.cross(on_a - on_n, a) @ z) / sine
-    pivot = on_a + a * (np.cross(on_a - on_n, n) @ z) / sine
     T_base_torus = transform(np.stack([n, np.cross(z, n), z], axis=1), center)
-    major_radius = float((pivot - center) @ z)
+    major_radius = float((on_a - on_n) @ z)
     epsilon = float(np.arctan2(-(n @ a), sine)) + 0.0
     T_torus_carm = transform(rot_z(epsilon), np.array([0, 0, major_radius]))
     T_sensor_carm = inverse(chain.forward_kinematics(q)) @ T_base_torus @ T_torus_carm

@@ -21,10 +21,11 @@ EXPECTED = {
 
 ODD = """<robot name="odd">
   <link name="base"/> <link name="a"/> <link name="b"/> <link name="c"/> <link name="d"/> <link name="e"/>
-  <link name="tip"/> <link name="side"/>
+  <link name="shelf"/> <link name="tip"/> <link name="side"/>
   <joint name="plinth" type="fixed"><parent link="base"/><child link="a"/>
     <origin xyz="1 2 3" rpy="0.3 -0.4 0.5"/></joint>
-  <joint name="turn" type="continuous"><parent link="a"/><child link="b"/><origin rpy="0 0.2 0"/>
+  <joint name="shelf" type="fixed"><parent link="a"/><child link="shelf"/><origin xyz="0 0 0.2" rpy="1 0 0"/></joint>
+  <joint name="turn" type="continuous"><parent link="shelf"/><child link="b"/><origin rpy="0 0.2 0"/>
     <axis xyz="0 0.6 0.8"/></joint>
   <joint name="bend" type="fixed"><parent link="b"/><child link="c"/><origin xyz="0 0.1 0" rpy="1 1 1"/></joint>
   <joint name="slide" type="prismatic"><parent link="c"/><child link="d"/><origin xyz="0.4 0 0"/>
@@ -78,8 +79,8 @@ def test_the_chain_of_an_odd_machine(odd):
     assert (chain.angular, chain.orbital) == (0, 2)
     assert chain.axes[0].tolist() == [0, 0.6, 0.8]
     assert chain.axes[2].tolist() == [1, 0, 0]
-    T_base_plinth, T_turn = odd.joints[0].origin, odd.joints[1].origin
-    np.testing.assert_allclose(chain.placements[0], T_base_plinth @ T_turn, atol=1e-15)
+    plinth, shelf, turn = (joint.origin for joint in odd.joints[:3])
+    np.testing.assert_allclose(chain.placements[0], plinth @ shelf @ turn, atol=1e-15)
 
 
 def test_configurations_of_any_shape(odd):
@@ -111,6 +112,8 @@ def test_a_planar_joint_stands_as_three(tmp_path):
     np.testing.assert_allclose(T[:3, :3], exp_so3(0.7 * axis), atol=1e-15)
     assert T[:3, 3] @ axis == pytest.approx(0, abs=1e-15)
     assert np.linalg.norm(T[:3, 3]) == pytest.approx(np.hypot(0.3, 0.2))
+    with pytest.raises(InputError, match="no <origin> carries the placement of 'cart_y'"):
+        chain.origins(chain.placements @ np.where(np.arange(6)[:, None, None] == 1, T, np.eye(4)), chain.T_last_sensor)
     flat = machine(tmp_path, ("cart", "planar", "0 0 0", "0 0 0", "0 0 1"), *joints[1:])
     T = chain_of(flat).forward_kinematics([0.3, -0.2, 0.7, 0, 0, 0])
     np.testing.assert_allclose(T, transform(exp_so3([0, 0, 0.7]), [0.3, -0.2, 0]), atol=1e-15)
@@ -225,6 +228,8 @@ def test_axes_by_name_by_option_and_by_default(odd, tmp_path):
     assert axes(unnamed, orbital="j3") == ("j4", "j3")
     half = machine(tmp_path, *[(name.replace("orbital", "beta"), *rest) for name, *rest in SKEW])
     assert axes(half) == ("angular", "wrist")
+    swapped = machine(tmp_path, ("beta", *SKEW[3][1:]), SKEW[1])
+    assert axes(swapped) == ("angular", "beta")
     with pytest.raises(
         InputError, match=r"orbital joint 'lift' is no revolute joint .*; valid: angular, orbital, wrist"
     ):
@@ -242,7 +247,7 @@ def test_the_sensor_link_is_found_or_asked_for(odd, tmp_path):
         chain_of(odd)
     with pytest.raises(InputError, match="no link is named 'tp'; valid: base, a, b"):
         chain_of(odd, "tp")
-    with pytest.raises(InputError, match=r"line 15: joint 'branch' on the way to the sensor is floating"):
+    with pytest.raises(InputError, match=r"line 16: joint 'branch' on the way to the sensor is floating"):
         chain_of(odd, "side")
     with pytest.raises(InputError, match="needs two revolute joints between base and 'c'; there are: turn"):
         chain_of(odd, "c")

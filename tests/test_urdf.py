@@ -226,6 +226,7 @@ MESSY = """<?xml version='1.0' encoding="utf-8"?>\r
    <child link="arm"/><limit upper="1" lower="-1"/></joint>\r
  <joint name="orbital" type="continuous">\r
      <parent link="arm"/><child link="sensor"/><axis xyz="0 1 0"/></joint>\r
+ <transmission name="u"><joint name="orbital"><origin xyz="6 6 6"/></joint></transmission>\r
  <g:joint name="x"/> <gazebo reference="arm"><kp>1e5</kp></gazebo>\r
 </robot>\r
 <!-- end: äöü -->"""
@@ -278,7 +279,8 @@ def test_several_patches_and_the_kinematics_they_give(tmp_path):
 @pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2, np.pi / 2 - 1e-9, 1e-9 - np.pi / 2])
 def test_a_patch_keeps_its_precision_at_a_pitch_of_90_degrees(pitch, tmp_path):
     urdf = read_urdf(written(tmp_path, MESSY))
-    R = exp_so3([0, 0, 0.3]) @ exp_so3([0, pitch, 0]) @ exp_so3([1.1, 0, 0])
+    Q = exp_so3([0.4, 0.5, 0.6])
+    R = Q.T @ (Q @ exp_so3([0, 0, 0.3]) @ exp_so3([0, pitch, 0]) @ exp_so3([1.1, 0, 0]))
     T = transform(R, [1, 2, 3])
     np.testing.assert_allclose(patch_origins(urdf, {"angular": T}).joints[0].origin, T, rtol=0, atol=1e-15)
 
