@@ -26,5 +26,8 @@ class RefusedError(CarmKinError):
     """The data cannot support a result; exit status 3. ``code`` is stable."""
 
     def __init__(self, code: str, message: str):
-        super().__init__(message)
+        super().__init__(code, message)
         self.code = code
+
+    def __str__(self) -> str:
+        return self.args[1]

@@ -133,7 +133,7 @@ def _joints_at_rest(torus: Torus, angles: Array, sigma: tuple[float, float], lim
     return (f"no {name} motion: the {name} axis and the offset along the other axis are unknown",)
 
 
-def _in_words(torus: Torus, active: Array, null: Array) -> tuple[str, ...]:
+def _in_words(torus: Torus, active: np.ndarray, null: Array) -> tuple[str, ...]:
     """Which reported quantities each null direction (columns of ``null``) moves."""
     J, names = reported_jacobian(torus)
     sentences = []

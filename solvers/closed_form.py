@@ -171,7 +171,7 @@ def _locus(problem: Problem, z: Array, shared_radius: bool) -> tuple[Array, Arra
         index = np.array([0, 1, 2, column])
         H[np.ix_(index, index)] += A.T @ A
         g[index] += A.T @ (p[i] - mp).ravel()
-    x = np.linalg.lstsq(H, g, rcond=1e-15)[0]
+    x = np.asarray(np.linalg.lstsq(H, g, rcond=1e-15)[0], dtype=float)
     t, radius = x[:3], x[3:]
     per_placement = np.broadcast_to(radius, (P,))
     center = np.stack([mp + mR @ t - r * mz for (mp, mR, mz), r in zip(means, per_placement, strict=True)])

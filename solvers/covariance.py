@@ -8,7 +8,7 @@ from solvers.se3 import Array, skew
 from solvers.torus import Torus
 
 
-def active_unknowns(torus: Torus, fix_non_orthogonality: bool) -> Array:
+def active_unknowns(torus: Torus, fix_non_orthogonality: bool) -> np.ndarray:
     """(D,) mask of the unknowns that the data can determine: not the zero of an angle that no label
     gives, and not epsilon where it is fixed."""
     placements = len(torus.T_world_torus)
@@ -19,7 +19,7 @@ def active_unknowns(torus: Torus, fix_non_orthogonality: bool) -> Array:
     return active
 
 
-def marginal_covariance(H: Array, active: Array) -> Array:
+def marginal_covariance(H: Array, active: np.ndarray) -> Array:
     """inv(H) (D, D) over the active unknowns, zero elsewhere; by eigenvectors of the scaled matrix, so
     that a direction without information gets a large variance instead of an exception."""
     C = np.zeros_like(H)
@@ -29,7 +29,7 @@ def marginal_covariance(H: Array, active: Array) -> Array:
     return C
 
 
-def scaled_spectrum(H: Array, active: Array) -> tuple[Array, Array, Array]:
+def scaled_spectrum(H: Array, active: np.ndarray) -> tuple[Array, Array, Array]:
     """Eigenvalues and vectors of H over the active unknowns, each unknown scaled to unit information."""
     inner = H[np.ix_(active, active)]
     scale = np.sqrt(np.maximum(np.diagonal(inner), np.finfo(float).tiny))

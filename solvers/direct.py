@@ -14,7 +14,7 @@ import numpy as np
 
 from solvers import closed_form, decomposed, loci
 from solvers.estimate import Covariance, Estimate
-from solvers.loci import Locus
+from solvers.loci import Locus, TwoAxisLocus
 from solvers.problem import Problem
 from solvers.se3 import Array
 
@@ -63,7 +63,8 @@ def minimise(problem: Problem, chosen: Locus, theta: Array, lever: float, max_it
     poses = _chunks(problem)
     damping, converged, iteration = LEAST_DAMPING, False, 0
     H, g, energy = _normal_equations(chosen, poses, theta, lever)
-    for iteration in range(1, max_iterations + 1):
+    while not converged and iteration < max_iterations:
+        iteration += 1
         scale = np.sqrt(np.maximum(np.diagonal(H), 1e-12 * H.diagonal().max()))
         A = H / np.outer(scale, scale) + damping * np.eye(len(H))
         step = -np.linalg.solve(A, g / scale) / scale
@@ -76,10 +77,8 @@ def minimise(problem: Problem, chosen: Locus, theta: Array, lever: float, max_it
         else:
             theta, (H, g, energy) = trial, trial_equations
             damping = max(damping * 0.1, LEAST_DAMPING)
-            converged = gain <= 1e-9 * energy or np.abs(step).max() < 1e-12
-        if converged:
-            break
-    return _estimate(problem, chosen, poses, theta, lever, iteration, bool(converged))
+            converged = bool(gain <= 1e-9 * energy or np.abs(step).max() < 1e-12)
+    return _estimate(problem, chosen, poses, theta, lever, iteration, converged)
 
 
 def _estimate(
@@ -124,7 +123,7 @@ def _locus(options: Options) -> Locus:
 
 
 def _start(problem: Problem, chosen: Locus, options: Options) -> Array:
-    if not chosen.needs_rotation_about_two_axes:
+    if not isinstance(chosen, TwoAxisLocus):
         return chosen.start(problem)
     if options.start not in ("auto", "closed_form", "decomposed"):
         raise ValueError(f"start {options.start!r} is unknown; it is one of auto, closed_form, decomposed")
@@ -162,7 +161,7 @@ def _mapped(chosen: Locus) -> tuple[ca.Function, int]:
     return one.map("rows_of_chunk", "serial", CHUNK, [0, 2], []), e.numel()
 
 
-def _layout(chosen: Locus, theta: Array) -> tuple[list[Array], list[Array], int]:
+def _layout(chosen: Locus, theta: Array) -> tuple[list[Array], list[np.ndarray], int]:
     """Tangent bases of the placements, the columns of each among all unknowns, and their number."""
     bases = [chosen.basis(x) for x in theta]
     own = int(np.any(bases[0][: chosen.own], axis=0).sum())

@@ -34,7 +34,7 @@ class Reduced:
     """(2, 14, N) and"""
     angle_start: Array
     """(2, N): the angles move by ``-(start + gain @ x)``, x the local unknowns of the pose."""
-    columns: Array
+    columns: np.ndarray
     """(P, 14) where the local unknowns of each placement stand among the D."""
     placement: np.ndarray
 
@@ -46,7 +46,7 @@ class Reduced:
         return -(self.angle_start + np.einsum("jkn,nk->jn", self.angle_gain, local[self.placement]))
 
 
-def columns_of(placements: int) -> Array:
+def columns_of(placements: int) -> np.ndarray:
     """(P, 14) global positions of the local unknowns."""
     shared = 6 * placements + np.arange(LOCAL - 6)
     return np.stack([np.concatenate([6 * p + np.arange(6), shared]) for p in range(placements)])
@@ -136,7 +136,7 @@ def _sweep_sums(B: Array, C: Array, X: Array, model: AngleModel) -> Array:
     return k
 
 
-def _eliminate_sweeps(H: Array, g: Array, k: Array, columns: Array) -> None:
+def _eliminate_sweeps(H: Array, g: Array, k: Array, columns: np.ndarray) -> None:
     """Schur complement of the held angles, in place."""
     full = np.zeros((len(k), len(g)))
     np.put_along_axis(full, columns, k[:, :LOCAL], axis=1)

@@ -46,8 +46,8 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
         if sigma > options.max_non_orthogonality_sigma_rad:
             note = Note(
                 "non_orthogonality_fixed",
-                f"the motion determines the non-orthogonality of the axes only to {np.degrees(sigma):.1f} deg (one sigma); "
-                "it was taken as 0",
+                f"the motion determines the non-orthogonality of the axes only to {np.degrees(sigma):.1f} deg "
+                "(one sigma); it was taken as 0",
             )
             return replace(refine(problem, _start(problem, True), options, True), notes=(note,))
     return estimate
@@ -121,9 +121,7 @@ def reduce_at(problem: Problem, torus: Torus, angles: Array, sigma: tuple[float,
 
 
 def _first_sigma(problem: Problem, line: Linearisation) -> tuple[float, float]:
-    rms = np.sqrt((line.residual.reshape(2, -1) ** 2).mean(axis=1))
-    given = (problem.sigma_t, problem.sigma_r)
-    return tuple(max(float(r), SIGMA_FLOOR) if s is None else s for r, s in zip(rms, given, strict=True))
+    return _given_or(problem, np.sqrt((line.residual.reshape(2, -1) ** 2).mean(axis=1)))
 
 
 def _sigma(problem: Problem, line: Linearisation, reduced: Reduced, C: Array) -> tuple[float, float]:
@@ -132,11 +130,15 @@ def _sigma(problem: Problem, line: Linearisation, reduced: Reduced, C: Array) ->
     drawn = np.array([(C * reduced.position_information).sum(), (C * (reduced.H - reduced.position_information)).sum()])
     left = np.maximum(np.array(reduced.redundancy) - drawn, 1.0)
     estimated = np.sqrt((line.residual.reshape(2, -1) ** 2).sum(axis=1) / left)
-    given = (problem.sigma_t, problem.sigma_r)
-    return tuple(max(float(e), SIGMA_FLOOR) if s is None else s for e, s in zip(estimated, given, strict=True))
+    return _given_or(problem, estimated)
 
 
-def _step(reduced: Reduced, active: Array, damping: float) -> Array:
+def _given_or(problem: Problem, estimated: Array) -> tuple[float, float]:
+    t, r = (max(float(e), SIGMA_FLOOR) for e in estimated)
+    return t if problem.sigma_t is None else problem.sigma_t, r if problem.sigma_r is None else problem.sigma_r
+
+
+def _step(reduced: Reduced, active: np.ndarray, damping: float) -> Array:
     inner = reduced.H[np.ix_(active, active)]
     scale = np.sqrt(np.maximum(np.diagonal(inner), np.finfo(float).tiny))
     A = inner / np.outer(scale, scale) + (damping + 1e-15) * np.eye(len(inner))

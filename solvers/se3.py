@@ -168,7 +168,8 @@ def log_se3(T: ArrayLike) -> Array:
     _, b, c = _coefficients(np.linalg.norm(w, axis=-1))
     W = skew(w)
     V = np.eye(3) + b[..., None, None] * W + c[..., None, None] * (W @ W)
-    return np.concatenate([np.linalg.solve(V, T[..., :3, 3:])[..., 0], w], axis=-1)
+    v = np.asarray(np.linalg.solve(V, T[..., :3, 3:])[..., 0], dtype=float)
+    return np.concatenate([v, w], axis=-1)
 
 
 def adjoint(T: ArrayLike) -> Array:

@@ -24,6 +24,8 @@ from solvers.se3 import Array, orthonormal_complement, transform
 from solvers.torus import Torus
 
 SIGMA_FLOOR_M = 1e-7
+SPHERE_SIGMAS = 5.0
+"""A major radius of fewer noise sigmas cannot be told from a sphere."""
 NEARLY_SPHERE = 0.03
 """Relative deviation from a sphere below which the algebraic start is not trusted alone."""
 
@@ -42,7 +44,7 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
         raise ValueError("surface fits one base placement at a time; select one")
     positions = Problem.of_poses(problem.p_world_sensor, None)
     fits = [_refine(positions, start, options) for start in _starts(problem.p_world_sensor)]
-    return min(fits, key=lambda fit: fit.sigma_t)
+    return min(fits, key=lambda fit: fit.sigma_t or 0.0)
 
 
 def _starts(p: Array) -> list[Torus]:
@@ -136,17 +138,28 @@ def _estimate(
     line: Linearisation,
     angles: Array,
     model: AngleModel,
-    active: Array,
+    active: np.ndarray,
     iteration: int,
     converged: bool,
 ) -> Estimate:
     redundancy = max(len(problem) - int(active.sum()), 1)
     sigma = max(float(np.sqrt(_energy(line) / redundancy)), SIGMA_FLOOR_M)
     C = marginal_covariance(reduce(line, model, problem, angles, (sigma,)).H, active)
-    note = Note(
-        "offset_not_determined",
-        "positions alone determine the torus, not the offset: every rotation of the sensor in its mount gives the same ones",
-    )
+    notes = [
+        Note(
+            "offset_not_determined",
+            "positions alone determine the torus, not the offset: every rotation of the sensor in its mount "
+            "gives the same ones",
+        )
+    ]
+    if abs(torus.major_radius) < SPHERE_SIGMAS * sigma:
+        notes.append(
+            Note(
+                "nearly_sphere",
+                f"the major radius lies within {SPHERE_SIGMAS:.0f} times the noise: positions then lie on a sphere, "
+                "which tells nothing of the axes and the minor radius, and biases the major radius upwards",
+            )
+        )
     covariance = covariance_of(torus, C)
     kept = [i for i, name in enumerate(covariance.names) if name.startswith(("major", "minor", "torus", "angular"))]
     return Estimate(
@@ -160,5 +173,5 @@ def _estimate(
         residual=line.residual.T,
         iterations=iteration,
         converged=converged,
-        notes=(note,),
+        notes=tuple(notes),
     )

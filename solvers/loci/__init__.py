@@ -6,7 +6,7 @@ vectors stand in theta with three entries; `Locus.basis` gives the directions in
 
 from importlib import import_module
 from pkgutil import iter_modules
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from solvers.estimate import Estimate
 from solvers.problem import Problem
 from solvers.se3 import Array
+from solvers.torus import Axes
 
 
 class Locus(Protocol):
@@ -23,8 +24,6 @@ class Locus(Protocol):
     """Length of theta."""
     own: int
     """How many leading entries of theta belong to one placement; the rest is shared."""
-    needs_rotation_about_two_axes: bool
-    """Whether the general checks of a two-axis motion apply."""
 
     def residual(self, theta: ca.SX, R: ca.SX, p: ca.SX, lever: ca.SX) -> ca.SX:
         """Residuals, m, of one pose: R (3, 3), p (3, 1); ``lever`` (m) turns angles into lengths."""
@@ -49,6 +48,15 @@ class Locus(Protocol):
     def estimate(self, theta: Array, problem: Problem, null_direction_sensor: Array, **more: Any) -> Estimate:
         """The answer in the project's terms, from theta (P, size). ``null_direction_sensor`` is the tangent
         vector of least curvature."""
+        ...
+
+
+@runtime_checkable
+class TwoAxisLocus(Locus, Protocol):
+    """A locus that belongs to a C-arm: it can start from its axes."""
+
+    def theta(self, axes: Axes) -> Array:
+        """(P, size) of the given axes."""
         ...
 
 

@@ -29,7 +29,6 @@ class Locus:
     """Take the axes as perpendicular."""
     size: int = 14
     own: int = 6
-    needs_rotation_about_two_axes: bool = True
 
     def residual(self, theta: ca.SX, R: ca.SX, p: ca.SX, lever: ca.SX) -> ca.SX:
         """The vector residual of the locus, then the angle between the axes."""

@@ -18,7 +18,6 @@ class Locus:
 
     size: int = 6
     own: int = 3
-    needs_rotation_about_two_axes: bool = False
 
     def residual(self, theta: ca.SX, R: ca.SX, p: ca.SX, lever: ca.SX) -> ca.SX:
         """The three components of ``R t + p - c``."""

@@ -26,7 +26,6 @@ class Locus:
 
     size: int = 10
     own: int = 6
-    needs_rotation_about_two_axes: bool = True
 
     def residual(self, theta: ca.SX, R: ca.SX, p: ca.SX, lever: ca.SX) -> ca.SX:
         """``|R t + p - c| - R`` and ``<R t + p - c, n>``; the norm is kept off zero by 1e-9 m."""
@@ -73,7 +72,8 @@ class Locus:
     def estimate(self, theta: Array, problem: Problem, null_direction_sensor: Array, **more: Any) -> Estimate:
         """Offset, radius, centre and plane as they came to rest, with the null direction."""
         direction = null_direction_sensor[-3:] / np.linalg.norm(null_direction_sensor[-3:])
-        words = f"along the orbital axis, ({direction[0]:+.4f}, {direction[1]:+.4f}, {direction[2]:+.4f}) in the sensor frame"
+        components = ", ".join(f"{x:+.4f}" for x in direction)
+        words = f"along the orbital axis, ({components}) in the sensor frame"
         note = Note(
             "gauge_undetermined",
             f"gauge 'published' leaves the offset undetermined {words}: offset and major radius are those of the "
