@@ -15,8 +15,9 @@ from solvers.covariance import (
     reported_jacobian,
     scaled_spectrum,
 )
+from solvers.elimination import normal_equations
 from solvers.estimate import Covariance, Estimate, Note
-from solvers.likelihood import linearise
+from solvers.likelihood import AngleModel, linearise
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
@@ -68,20 +69,20 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         return _assess_positions(problem, estimate, limits)
     torus = estimate.torus
     if estimate.angles is None:
-        angles, sigma, reduced = kinematic.fit_angles(problem, torus)
+        angles, at = kinematic.fit_angles(problem, torus)
+        sigma = (at.sigma[0], at.sigma[1])
     else:
-        angles = estimate.angles.T
-        sigma = (estimate.sigma_t or 0.0, estimate.sigma_r or 0.0)
-        reduced = kinematic.reduce_at(problem, torus, angles, sigma)
+        angles, sigma = estimate.angles.T, (estimate.sigma_t or 0.0, estimate.sigma_r or 0.0)
+        at = normal_equations(torus, angles, problem, AngleModel.of(problem), sigma)
     residual = linearise(torus, angles, problem).residual
     active = active_unknowns(torus, fix_non_orthogonality=torus.non_orthogonality == 0.0)
-    values, vectors, scale = scaled_spectrum(reduced.H, active)
-    covariance = covariance_of(torus, marginal_covariance(reduced.H, active))
+    values, vectors, scale = scaled_spectrum(at.H, active)
+    covariance = covariance_of(torus, marginal_covariance(at.H, active))
     still = _joints_at_rest(torus, angles, sigma, limits)
     null = vectors[:, values < limits.min_relative_information * values[-1]] / scale[:, None]
     unobservable = (*still, *_in_words(torus, active, null))
     chi2 = sum(((residual[k : k + 3] / s) ** 2).sum() for k, s in zip((0, 3), sigma, strict=True))
-    dof = max(sum(reduced.redundancy) - active.sum(), 1.0)
+    dof = max(sum(at.redundancy) - active.sum(), 1.0)
     return Assessment(
         angles=angles.T,
         position_residual=residual[:3].T,

@@ -3,18 +3,24 @@
 With B = [J | h | r] the weighted local Jacobian of a pose, the column of its sweep's unknown held
 angle and the residual, A the columns of its own free angles and G = ATA plus the readings'
 precision, the pose contributes ``BTB - (ATB)T inv(G) (ATB)``. The held angles are scalars, each of
-which is eliminated in the same way once its poses are summed.
+which is eliminated in the same way once its poses are summed. Everything is a sum over poses, taken
+in blocks that stay in the processor's cache, so memory and time grow linearly.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from solvers.likelihood import LOCAL, AngleModel, Linearisation
+from solvers.likelihood import LOCAL, AngleModel, Linearisation, linearise
 from solvers.problem import Problem
 from solvers.se3 import Array
+from solvers.torus import Torus
 
-HELD, RESIDUAL = LOCAL, LOCAL + 1
+HELD, RESIDUAL, WIDTH = LOCAL, LOCAL + 1, LOCAL + 2
+"""Columns of B beyond the local Jacobian."""
+BLOCK = 1024
+"""Poses that are reduced at a time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,87 +32,198 @@ class Reduced:
     g: Array
     """(D,) gradient of half the weighted sum of squares."""
     position_information: Array
-    """(D, D) share of H that the position residuals carry; the rotations carry the rest."""
+    """(D, D) share of H that the position residuals carry; rotations and readings carry the rest."""
     redundancy: tuple[float, float]
     """Number of position and of rotation residuals, each less the part that the angles absorb
     (without orientations the second is without meaning)."""
-    angle_gain: Array
-    """(2, 14, N) and"""
-    angle_start: Array
-    """(2, N): the angles move by ``-(start + gain @ x)``, x the local unknowns of the pose."""
-    columns: np.ndarray
-    """(P, 14) where the local unknowns of each placement stand among the D."""
-    placement: np.ndarray
+    squares: tuple[float, float]
+    """Weighted sum of the squared position (m^2) and rotation (rad^2) residuals, not scaled by sigma."""
+    reading_cost: float
+    """The readings' part of the sum of squares, scaled."""
+    sigma: tuple[float, ...]
+    _position: tuple[Array, float]
+    """Gradient and constant that complete `position_information` to a quadratic form."""
+    _constant: float
+    """What the angles' own steps leave of `cost`."""
+    _response: Array
+    """(2, 16, N) what each free angle takes of every column of B."""
+    _sweep_response: Array
+    """(S, 16) the same of each held angle, scaled to its own column."""
+    _columns: np.ndarray
+    _placement: np.ndarray
+    _model: AngleModel
+
+    @property
+    def cost(self) -> float:
+        """Weighted sum of squares at the point of linearisation."""
+        return self.cost_at(self.sigma)
+
+    def cost_at(self, sigma: tuple[float, ...]) -> float:
+        """The same if the noise were ``sigma``."""
+        return float(sum(s / n**2 for s, n in zip(self.squares, sigma, strict=False))) + self.reading_cost
+
+    def squares_after(self, x: Array) -> tuple[float, float]:
+        """`squares` as they will be, to first order, after the step ``x`` (D,) and its `angle_step`."""
+        g, constant = self._position
+        position = max(constant + 2 * g @ x + x @ self.position_information @ x, 0.0)
+        if len(self.sigma) == 1:
+            return position * self.sigma[0] ** 2, 0.0
+        total = self._constant + 2 * self.g @ x + x @ self.H @ x
+        return position * self.sigma[0] ** 2, max(total - self.reading_cost - position, 0.0) * self.sigma[1] ** 2
 
     def angle_step(self, x: Array) -> Array:
         """The step of every angle (2, N) that goes with the step ``x`` (D,) of the machine."""
-        local = x[self.columns]
+        local = x[self._columns]
+        step = -self._response[:, RESIDUAL]
         if len(local) == 1:
-            return -(self.angle_start + np.einsum("jkn,k->jn", self.angle_gain, local[0]))
-        return -(self.angle_start + np.einsum("jkn,nk->jn", self.angle_gain, local[self.placement]))
+            step -= np.einsum("jkn,k->jn", self._response[:, :LOCAL], local[0])
+        else:
+            step -= np.einsum("jkn,nk->jn", self._response[:, :LOCAL], local[self._placement])
+        member = np.flatnonzero(self._model.sweep >= 0)
+        if member.size:
+            k = self._sweep_response
+            held = -(k[:, RESIDUAL] + (k[:, :LOCAL] * local[self._model.sweep_placement]).sum(axis=1))
+            held = held[self._model.sweep[member]]
+            step[:, member] -= self._response[:, HELD, member] * held
+            step[self._model.sweep_joint[member], member] = held
+        return step
+
+
+def normal_equations(
+    torus: Torus,
+    angles: Array,
+    problem: Problem,
+    model: AngleModel,
+    sigma: tuple[float, ...],
+    weights: Array | None = None,
+) -> Reduced:
+    """Linearise at ``angles`` (2, N) and eliminate them. ``sigma`` is the noise of position (m) and, where
+    there are orientations, of rotation (rad); ``weights`` (N,) scales the information of each pose."""
+    total = _Sums(problem.placements, len(model.sweep_placement), len(problem))
+    for here in _blocks(len(problem)):
+        part = problem.select(here)
+        line = linearise(torus, angles[:, here], part)
+        total.add(
+            line, part, model.select(here), angles[:, here], sigma, None if weights is None else weights[here], here
+        )
+    return total.reduced(model, problem, sigma)
+
+
+def _blocks(n: int) -> Iterator[slice]:
+    return (slice(start, min(start + BLOCK, n)) for start in range(0, n, BLOCK))
+
+
+class _Sums:
+    """Running sums over blocks of poses."""
+
+    def __init__(self, placements: int, sweeps: int, n: int):
+        self.moment = np.zeros((placements, WIDTH, WIDTH))
+        self.position_moment = np.zeros((placements, WIDTH, WIDTH))
+        self.sweep = np.zeros((sweeps, WIDTH))
+        self.sweep_position = np.zeros((sweeps, WIDTH))
+        self.response = np.empty((2, WIDTH, n))
+        self.squares = np.zeros(2)
+        self.reading_cost = self.absorbed_position = self.absorbed_readings = 0.0
+
+    def add(
+        self,
+        line: Linearisation,
+        part: Problem,
+        model: AngleModel,
+        angles: Array,
+        sigma: tuple[float, ...],
+        weights: Array | None,
+        here: slice,
+    ) -> None:
+        """Add a block of poses."""
+        B, A = _weighted(line, model, sigma, weights)
+        error = model.reading_error(angles)
+        C = np.stack([(A[:, j, None] * B).sum(axis=0) for j in (0, 1)])
+        C[:, RESIDUAL] += model.precision * error
+        G_inverse = _inverse_blocks(A, model)
+        X = self.response[..., here]
+        X[0] = G_inverse[0, 0] * C[0] + G_inverse[0, 1] * C[1]
+        X[1] = G_inverse[1, 0] * C[0] + G_inverse[1, 1] * C[1]
+        U = B[:3] - A[:3, 0, None] * X[0] - A[:3, 1, None] * X[1]
+
+        for p, members in _members(part):
+            self.moment[p] += _moment(B[..., members], B[..., members]) - _moment(C[..., members], X[..., members])
+            self.position_moment[p] += _moment(U[..., members], U[..., members])
+        member = np.flatnonzero(model.sweep >= 0)
+        if member.size:
+            rows = np.einsum("rn,rkn->nk", B[:, HELD, member], B[..., member])
+            rows -= np.einsum("jn,jkn->nk", C[:, HELD, member], X[..., member])
+            np.add.at(self.sweep, model.sweep[member], rows)
+            rows = np.einsum("rn,rkn->nk", U[:, HELD, member], U[..., member])
+            np.add.at(self.sweep_position, model.sweep[member], rows)
+
+        cost = float((model.precision * error**2).sum())
+        self.reading_cost += cost
+        square = (B[:, RESIDUAL].reshape(len(sigma), -1) ** 2).sum(axis=1) * np.square(sigma)
+        self.squares[: len(sigma)] += square
+        self.absorbed_position += float(np.einsum("rin,ijn,rjn->", A[:3], G_inverse, A[:3], optimize=True))
+        self.absorbed_readings += float((model.precision * G_inverse[[0, 1], [0, 1]]).sum())
+
+    def reduced(self, model: AngleModel, problem: Problem, sigma: tuple[float, ...]) -> Reduced:
+        """Eliminate the held angles and put the placements together."""
+        columns = columns_of(problem.placements)
+        size = 6 * problem.placements + LOCAL - 6
+        H, M = (_assembled(S, columns, size) for S in (self.moment, self.position_moment))
+        own = self.sweep[:, HELD]
+        ratio = self.sweep / np.where(own > 0, own, 1.0)[:, None]
+        index = np.concatenate([columns[model.sweep_placement], np.full((len(own), 1), size)], axis=1)
+        k, rho, w = (_spread(row, index, size + 1) for row in (self.sweep, ratio, self.sweep_position))
+        H -= rho.T @ k
+        M -= rho.T @ w + w.T @ rho - (rho.T * self.sweep_position[:, HELD]) @ rho
+        absorbed = self.absorbed_position + float((self.sweep_position[:, HELD] / np.where(own > 0, own, 1.0)).sum())
+        rotation = model.free.sum() + len(own) - absorbed - self.absorbed_readings
+        H, M = 0.5 * (H + H.T), 0.5 * (M + M.T)
+        return Reduced(
+            H=H[:-1, :-1],
+            g=H[:-1, -1],
+            position_information=M[:-1, :-1],
+            redundancy=(3 * len(problem) - absorbed, float(3 * len(problem) - rotation)),
+            squares=(float(self.squares[0]), float(self.squares[1])),
+            reading_cost=self.reading_cost,
+            sigma=sigma,
+            _position=(M[:-1, -1], float(M[-1, -1])),
+            _constant=float(H[-1, -1]) + self.reading_cost,
+            _response=self.response,
+            _sweep_response=ratio,
+            _columns=columns,
+            _placement=problem.placement,
+            _model=model,
+        )
 
 
 def columns_of(placements: int) -> np.ndarray:
-    """(P, 14) global positions of the local unknowns."""
+    """(P, 14) positions of the local unknowns among all."""
     shared = 6 * placements + np.arange(LOCAL - 6)
     return np.stack([np.concatenate([6 * p + np.arange(6), shared]) for p in range(placements)])
 
 
-def reduce(
-    line: Linearisation,
-    model: AngleModel,
-    problem: Problem,
-    angles: Array,
-    sigma: tuple[float, ...],
-    weights: Array | None = None,
-) -> Reduced:
-    """Eliminate the angles. ``sigma`` is the noise of position (m) and, where there are orientations,
-    of rotation (rad); ``weights`` (N,) scales the information of each pose."""
+def _weighted(
+    line: Linearisation, model: AngleModel, sigma: tuple[float, ...], weights: Array | None
+) -> tuple[Array, Array]:
+    """B (rows, 16, n) and A (rows, 2, n), scaled by the noise; A is zero where an angle is not free."""
     row = np.repeat(1 / np.asarray(sigma), 3)[:, None]
     scale = row if weights is None else row * np.sqrt(weights)
     n = line.residual.shape[1]
-    B = np.empty((len(row), LOCAL + 2, n))
+    B = np.empty((len(row), WIDTH, n))
     np.multiply(line.by_local, scale[:, None], out=B[:, :LOCAL])
-    full = line.by_angle * scale[:, None]
-    B[:, HELD] = np.where(model.sweep >= 0, full[:, model.sweep_joint, np.arange(n)], 0.0)
+    A = line.by_angle * scale[:, None]
+    held = model.sweep >= 0
+    B[:, HELD] = np.where(held, A[:, model.sweep_joint, np.arange(n)], 0.0) if held.any() else 0.0
     B[:, RESIDUAL] = line.residual * scale
-    A = full * model.free
-    C = np.einsum("rjn,rkn->jkn", A, B)
-    C[:, RESIDUAL] += model.precision * model.reading_error(angles)
-    G_inverse = _inverse_blocks(A, model)
-    X = np.einsum("ijn,jkn->ikn", G_inverse, C)
-
-    columns = columns_of(problem.placements)
-    size = 6 * problem.placements + LOCAL - 6
-    H, g = np.zeros((size, size)), np.zeros(size)
-    for p, here in enumerate(_members(problem)):
-        S = _moment(B[..., here], B[..., here]) - _moment(C[..., here], X[..., here])
-        H[np.ix_(columns[p], columns[p])] += S[:LOCAL, :LOCAL]
-        g[columns[p]] += S[:LOCAL, RESIDUAL]
-    k = _sweep_sums(B, C, X, model)
-    _eliminate_sweeps(H, g, k, columns[model.sweep_placement])
-    gain, start = _angle_response(X, k, model)
-
-    M = np.zeros_like(H)
-    for p, here in enumerate(_members(problem)):
-        left = B[:3, :LOCAL, here] - np.einsum("rjn,jkn->rkn", full[:3, :, here], gain[..., here])
-        M[np.ix_(columns[p], columns[p])] += _moment(left, left)
-    return Reduced(
-        H=0.5 * (H + H.T),
-        g=g,
-        position_information=M,
-        redundancy=_redundancy(A, B, X, G_inverse, k, model),
-        angle_gain=gain,
-        angle_start=start,
-        columns=columns,
-        placement=problem.placement,
-    )
+    return B, A * model.free
 
 
-def _members(problem: Problem) -> list:
-    if problem.placements == 1:
-        return [slice(None)]
-    return [np.flatnonzero(problem.placement == p) for p in range(problem.placements)]
+def _members(part: Problem) -> list[tuple[int, slice | np.ndarray]]:
+    """The placements in a block, each with its poses."""
+    first = int(part.placement[0])
+    if (part.placement == first).all():
+        return [(first, slice(None))]
+    return [(int(p), np.flatnonzero(part.placement == p)) for p in np.unique(part.placement)]
 
 
 def _moment(left: Array, right: Array) -> Array:
@@ -125,45 +242,18 @@ def _inverse_blocks(A: Array, model: AngleModel) -> Array:
     return np.array([[d, -b], [-b, a]]) / (a * d - b * b)
 
 
-def _sweep_sums(B: Array, C: Array, X: Array, model: AngleModel) -> Array:
-    """(S, 16) the row of each held angle in the summed normal equations."""
-    member = np.flatnonzero(model.sweep >= 0)
-    k = np.zeros((len(model.sweep_placement), LOCAL + 2))
-    if member.size:
-        rows = np.einsum("rn,rkn->nk", B[:, HELD, member], B[..., member])
-        rows -= np.einsum("jn,jkn->nk", C[:, HELD, member], X[..., member])
-        np.add.at(k, model.sweep[member], rows)
-    return k
+def _assembled(moment: Array, columns: np.ndarray, size: int) -> Array:
+    """(size + 1, size + 1) of the moments (P, 16, 16) of the placements, the residual's column last."""
+    full = np.zeros((size + 1, size + 1))
+    kept = np.r_[:LOCAL, RESIDUAL]
+    for local, index in zip(moment, columns, strict=True):
+        index = np.append(index, size)
+        full[np.ix_(index, index)] += local[np.ix_(kept, kept)]
+    return full
 
 
-def _eliminate_sweeps(H: Array, g: Array, k: Array, columns: np.ndarray) -> None:
-    """Schur complement of the held angles, in place."""
-    full = np.zeros((len(k), len(g)))
-    np.put_along_axis(full, columns, k[:, :LOCAL], axis=1)
-    weighted = full / k[:, HELD, None]
-    H -= weighted.T @ full
-    g -= weighted.T @ k[:, RESIDUAL]
-
-
-def _redundancy(A: Array, B: Array, X: Array, G_inverse: Array, k: Array, model: AngleModel) -> tuple[float, float]:
-    """The traces of the hat matrix of all angles, split over position, rotation and readings."""
-    position = np.einsum("rin,ijn,rjn->", A[:3], G_inverse, A[:3])
-    if len(k):
-        held = B[:3, HELD] - np.einsum("rjn,jn->rn", A[:3], X[:, HELD])
-        position += (held**2 / np.where(model.sweep >= 0, k[model.sweep, HELD], 1.0)).sum()
-    readings = np.einsum("in,iin->", model.precision, G_inverse)
-    rotation = model.free.sum() + len(k) - position - readings
-    n = B.shape[2]
-    return float(3 * n - position), float(3 * n - rotation)
-
-
-def _angle_response(X: Array, k: Array, model: AngleModel) -> tuple[Array, Array]:
-    """Gain (2, 14, N) and start (2, N) of every angle, held ones included."""
-    if not len(k):
-        return X[:, :LOCAL], X[:, RESIDUAL]
-    member = np.flatnonzero(model.sweep >= 0)
-    ratio = (k / k[:, HELD, None])[model.sweep[member]].T
-    Y = X.copy()
-    Y[..., member] -= X[:, None, HELD, member] * ratio
-    Y[model.sweep_joint[member], :, member] = ratio.T
-    return Y[:, :LOCAL], Y[:, RESIDUAL]
+def _spread(rows: Array, index: np.ndarray, size: int) -> Array:
+    """(S, size) of the sweeps' rows (S, 16), the residual's column last."""
+    full = np.zeros((len(rows), size))
+    np.put_along_axis(full, index, rows[:, np.r_[:LOCAL, RESIDUAL]], axis=1)
+    return full

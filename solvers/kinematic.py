@@ -11,9 +11,9 @@ import numpy as np
 
 from solvers import closed_form
 from solvers.covariance import active_unknowns, covariance_of, marginal_covariance
-from solvers.elimination import Reduced, reduce
+from solvers.elimination import Reduced, normal_equations
 from solvers.estimate import Estimate, Note
-from solvers.likelihood import AngleModel, Linearisation, linearise, retract
+from solvers.likelihood import AngleModel, linearise, retract
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
@@ -35,6 +35,8 @@ class Options:
     """Steps after which the solver gives up and says so."""
     tolerance: float = 1e-3
     """A step shorter than this many standard deviations ends the iteration."""
+    sigma_tolerance: float = 3e-3
+    """So does, together with it, a relative change of the estimated noise below this."""
 
 
 def solve(problem: Problem, options: Options = Options()) -> Estimate:
@@ -66,26 +68,22 @@ def refine(problem: Problem, torus: Torus, options: Options, fix_non_orthogonali
     model = AngleModel.of(problem)
     active = active_unknowns(torus, fix_non_orthogonality)
     angles = model.start(torus, problem)
-    line = linearise(torus, angles, problem)
-    sigma, damping, converged, iteration = _first_sigma(problem, line), 0.0, False, 0
-    while True:
-        reduced = reduce(line, model, problem, angles, sigma)
-        C = marginal_covariance(reduced.H, active)
-        step = _step(reduced, active, damping)
-        if converged or iteration == options.max_iterations:
-            break
+    sigma = first_sigma(problem, torus, angles)
+    at = normal_equations(torus, angles, problem, model, sigma)
+    damping, converged, iteration = 0.0, False, 0
+    while not converged and iteration < options.max_iterations:
         iteration += 1
-        trial, trial_angles = retract(torus, step), angles + reduced.angle_step(step)
-        trial_line = linearise(trial, trial_angles, problem)
-        costs = [_cost(at, a, model, sigma) for at, a in ((line, angles), (trial_line, trial_angles))]
-        if costs[1] > costs[0] * (1 + 1e-6) + 1e-6:
+        C = marginal_covariance(at.H, active)
+        step = _step(at, active, damping)
+        new_sigma = next_sigma(problem, at, C, step)
+        trial, trial_angles = retract(torus, step), angles + at.angle_step(step)
+        there = normal_equations(trial, trial_angles, problem, model, new_sigma)
+        if there.cost > at.cost_at(new_sigma) * (1 + 1e-6) + 1e-6:
             damping = max(10 * damping, 1e-6)
             continue
-        torus, angles, line = trial, trial_angles, trial_line
-        new_sigma = _sigma(problem, line, reduced, C)
-        settled = np.allclose(new_sigma, sigma, rtol=1e-3)
-        converged = settled and damping == 0 and step @ reduced.H @ step < options.tolerance**2
-        sigma = new_sigma
+        settled = np.allclose(new_sigma, sigma, rtol=options.sigma_tolerance)
+        converged = settled and damping == 0 and step @ at.H @ step < options.tolerance**2
+        torus, angles, sigma, at = trial, trial_angles, new_sigma, there
         damping = damping * 0.1 if damping > 1e-8 else 0.0
     return Estimate.of_torus(
         "kinematic",
@@ -93,44 +91,39 @@ def refine(problem: Problem, torus: Torus, options: Options, fix_non_orthogonali
         angles=angles.T,
         sigma_t=sigma[0],
         sigma_r=sigma[1],
-        covariance=covariance_of(torus, C),
+        covariance=covariance_of(torus, marginal_covariance(at.H, active)),
         iterations=iteration,
         converged=converged,
     )
 
 
-def fit_angles(problem: Problem, torus: Torus, iterations: int = 5) -> tuple[Array, tuple[float, float], Reduced]:
-    """The most likely angles (2, N) and noise for a chain that another solver found, and the normal
-    equations there; labels of held joints are taken as exact."""
+def fit_angles(problem: Problem, torus: Torus, iterations: int = 4) -> tuple[Array, Reduced]:
+    """The most likely angles (2, N) for a chain that another solver found, and the normal equations there
+    with the noise that the residuals show; labels of held joints are taken as exact."""
     model = AngleModel.of(problem)
     angles = model.start(torus, problem)
-    line = linearise(torus, angles, problem)
-    sigma = _first_sigma(problem, line)
-    nothing = np.zeros(6 * problem.placements + 8)
+    at = normal_equations(torus, angles, problem, model, first_sigma(problem, torus, angles))
+    nothing = np.zeros(len(at.g))
     for _ in range(iterations):
-        reduced = reduce(line, model, problem, angles, sigma)
-        angles = angles + reduced.angle_step(nothing)
-        line = linearise(torus, angles, problem)
-        sigma = _sigma(problem, line, reduced, np.zeros_like(reduced.H))
-    return angles, sigma, reduce(line, model, problem, angles, sigma)
+        sigma = next_sigma(problem, at, np.zeros_like(at.H), nothing)
+        angles = angles + at.angle_step(nothing)
+        at = normal_equations(torus, angles, problem, model, sigma)
+    return angles, at
 
 
-def reduce_at(problem: Problem, torus: Torus, angles: Array, sigma: tuple[float, float]) -> Reduced:
-    """The normal equations at given parameters and angles (2, N)."""
-    return reduce(linearise(torus, angles, problem), AngleModel.of(problem), problem, angles, sigma)
+def first_sigma(problem: Problem, torus: Torus, angles: Array) -> tuple[float, float]:
+    """A first guess of both noises from the residuals of at most about a thousand poses."""
+    some = slice(None, None, max(1, len(problem) // 1000))
+    residual = linearise(torus, angles[:, some], problem.select(some)).residual
+    return _given_or(problem, np.sqrt((residual.reshape(2, -1) ** 2).mean(axis=1)))
 
 
-def _first_sigma(problem: Problem, line: Linearisation) -> tuple[float, float]:
-    return _given_or(problem, np.sqrt((line.residual.reshape(2, -1) ** 2).mean(axis=1)))
-
-
-def _sigma(problem: Problem, line: Linearisation, reduced: Reduced, C: Array) -> tuple[float, float]:
-    """Both noises: squared residuals over their redundancy, which the machine's unknowns share in
-    proportion to the information that they draw from each kind."""
-    drawn = np.array([(C * reduced.position_information).sum(), (C * (reduced.H - reduced.position_information)).sum()])
-    left = np.maximum(np.array(reduced.redundancy) - drawn, 1.0)
-    estimated = np.sqrt((line.residual.reshape(2, -1) ** 2).sum(axis=1) / left)
-    return _given_or(problem, estimated)
+def next_sigma(problem: Problem, at: Reduced, C: Array, step: Array) -> tuple[float, float]:
+    """Both noises: squared residuals after the step over their redundancy, of which the machine's unknowns
+    take shares in proportion to the information that they draw from each kind."""
+    drawn = np.array([(C * at.position_information).sum(), (C * (at.H - at.position_information)).sum()])
+    left = np.maximum(np.array(at.redundancy) - drawn, 1.0)
+    return _given_or(problem, np.sqrt(np.array(at.squares_after(step)) / left))
 
 
 def _given_or(problem: Problem, estimated: Array) -> tuple[float, float]:
@@ -138,15 +131,10 @@ def _given_or(problem: Problem, estimated: Array) -> tuple[float, float]:
     return t if problem.sigma_t is None else problem.sigma_t, r if problem.sigma_r is None else problem.sigma_r
 
 
-def _step(reduced: Reduced, active: np.ndarray, damping: float) -> Array:
-    inner = reduced.H[np.ix_(active, active)]
+def _step(at: Reduced, active: np.ndarray, damping: float) -> Array:
+    inner = at.H[np.ix_(active, active)]
     scale = np.sqrt(np.maximum(np.diagonal(inner), np.finfo(float).tiny))
     A = inner / np.outer(scale, scale) + (damping + 1e-15) * np.eye(len(inner))
     step = np.zeros(len(active))
-    step[active] = -np.linalg.lstsq(A, reduced.g[active] / scale, rcond=1e-14)[0] / scale
+    step[active] = -np.linalg.lstsq(A, at.g[active] / scale, rcond=1e-14)[0] / scale
     return step
-
-
-def _cost(line: Linearisation, angles: Array, model: AngleModel, sigma: tuple[float, float]) -> float:
-    position, rotation = (line.residual.reshape(2, -1) ** 2).sum(axis=1) / np.square(sigma)
-    return float(position + rotation + (model.precision * model.reading_error(angles) ** 2).sum())

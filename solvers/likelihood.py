@@ -66,6 +66,17 @@ class AngleModel:
             precision=reading.T / problem.sigma_reading**2,
         )
 
+    def select(self, poses: slice) -> "AngleModel":
+        """The model of a block of poses; the sweeps keep their numbers."""
+        return replace(
+            self,
+            free=self.free[:, poses],
+            sweep=self.sweep[poses],
+            sweep_joint=self.sweep_joint[poses],
+            reading=self.reading[:, poses],
+            precision=self.precision[:, poses],
+        )
+
     def start(self, torus: Torus, problem: Problem) -> Array:
         """alpha, beta (2, N): from the orientations, constant in a held sweep, the label where it is exact."""
         angles = torus.angles(problem).T
@@ -80,6 +91,8 @@ class AngleModel:
 
     def reading_error(self, angles: Array) -> Array:
         """(2, N) angle less reading, wrapped to a half turn; 0 where there is no reading."""
+        if not self.precision.any():
+            return np.zeros_like(angles)
         return np.where(self.precision > 0, np.angle(np.exp(1j * (angles - self.reading))), 0.0)
 
 

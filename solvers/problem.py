@@ -71,8 +71,8 @@ class Problem:
         order = index[np.argsort(self.held[index, held], kind="stable")]
         return np.split(order, np.flatnonzero(np.diff(self.held[order, held])) + 1)
 
-    def select(self, poses: np.ndarray) -> "Problem":
-        """The problem of some of the poses, by index or mask; placements keep their numbers."""
+    def select(self, poses: np.ndarray | slice) -> "Problem":
+        """The problem of some of the poses, by index, mask or slice; placements keep their numbers."""
         R = self.R_world_sensor
         return replace(
             self,

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from solvers.covariance import active_unknowns, covariance_of, marginal_covariance
-from solvers.elimination import reduce
+from solvers.elimination import Reduced, normal_equations
 from solvers.estimate import Estimate, Note
-from solvers.likelihood import AngleModel, Linearisation, linearise, retract
+from solvers.likelihood import AngleModel, linearise, retract
 from solvers.problem import Problem
 from solvers.se3 import Array, orthonormal_complement, transform
 from solvers.torus import Torus
@@ -89,32 +89,27 @@ def _refine(problem: Problem, torus: Torus, options: Options) -> Estimate:
     active = active_unknowns(torus, fix_non_orthogonality=True)
     active[[8, 11, 12, 13]] = False  # the mount has two unknowns left, t_y and b
     angles = nearest_angles(torus, problem)
-    line = linearise(torus, angles, problem)
+    at = normal_equations(torus, angles, problem, model, (1.0,))
     damping, iteration, converged = 1e-3, 0, False
     while iteration < options.max_iterations and not converged:
         iteration += 1
-        reduced = reduce(line, model, problem, angles, (1.0,))
         step = np.zeros(len(active))
-        inner = reduced.H[np.ix_(active, active)]
+        inner = at.H[np.ix_(active, active)]
         scale = np.sqrt(np.maximum(inner.diagonal(), 1e-12 * inner.diagonal().max()))
         A = inner / np.outer(scale, scale) + damping * np.eye(len(inner))
-        step[active] = -np.linalg.solve(A, reduced.g[active] / scale) / scale
+        step[active] = -np.linalg.solve(A, at.g[active] / scale) / scale
         trial = retract(torus, step)
         trial_angles = nearest_angles(trial, problem)
-        trial_line = linearise(trial, trial_angles, problem)
-        gain = _energy(line) - _energy(trial_line)
+        there = normal_equations(trial, trial_angles, problem, model, (1.0,))
+        gain = at.cost - there.cost
         if gain >= 0:
-            torus, angles, line = trial, trial_angles, trial_line
+            torus, angles, at = trial, trial_angles, there
             damping = max(damping * 0.1, 1e-15)
-            converged = gain <= 1e-10 * _energy(line) or _energy(line) < len(problem) * 1e-24
+            converged = gain <= 1e-10 * at.cost or at.cost < len(problem) * 1e-24
         else:
             damping *= 10
             converged = damping > 1e8
-    return _estimate(problem, torus, line, angles, model, active, iteration, converged)
-
-
-def _energy(line: Linearisation) -> float:
-    return float((line.residual**2).sum())
+    return _estimate(problem, torus, angles, at, active, iteration, converged)
 
 
 def nearest_angles(torus: Torus, problem: Problem) -> Array:
@@ -133,18 +128,11 @@ def nearest_angles(torus: Torus, problem: Problem) -> Array:
 
 
 def _estimate(
-    problem: Problem,
-    torus: Torus,
-    line: Linearisation,
-    angles: Array,
-    model: AngleModel,
-    active: np.ndarray,
-    iteration: int,
-    converged: bool,
+    problem: Problem, torus: Torus, angles: Array, at: Reduced, active: np.ndarray, iteration: int, converged: bool
 ) -> Estimate:
     redundancy = max(len(problem) - int(active.sum()), 1)
-    sigma = max(float(np.sqrt(_energy(line) / redundancy)), SIGMA_FLOOR_M)
-    C = marginal_covariance(reduce(line, model, problem, angles, (sigma,)).H, active)
+    sigma = max(float(np.sqrt(at.cost / redundancy)), SIGMA_FLOOR_M)
+    covariance = covariance_of(torus, marginal_covariance(at.H / sigma**2, active))
     notes = [
         Note(
             "offset_not_determined",
@@ -160,7 +148,6 @@ def _estimate(
                 "which tells nothing of the axes and the minor radius, and biases the major radius upwards",
             )
         )
-    covariance = covariance_of(torus, C)
     kept = [i for i, name in enumerate(covariance.names) if name.startswith(("major", "minor", "torus", "angular"))]
     return Estimate(
         "surface",
@@ -170,7 +157,7 @@ def _estimate(
         minor_radius=torus.minor_radius,
         sigma_t=sigma,
         covariance=covariance.select(kept),
-        residual=line.residual.T,
+        residual=linearise(torus, angles, problem).residual.T,
         iterations=iteration,
         converged=converged,
         notes=tuple(notes),
