@@ -60,47 +60,46 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
 
 def minimise(problem: Problem, chosen: Locus, theta: Array, lever: float, max_iterations: int) -> Estimate:
     """Gauss-Newton with Levenberg's damping from ``theta`` (P, size)."""
-    poses = _chunks(problem)
+    energy = _Energy(problem, chosen, lever)
     damping, converged, iteration = LEAST_DAMPING, False, 0
-    H, g, energy = _normal_equations(chosen, poses, theta, lever)
+    at = energy.normal_equations(theta)
     while not converged and iteration < max_iterations:
         iteration += 1
-        scale = np.sqrt(np.maximum(np.diagonal(H), 1e-12 * H.diagonal().max()))
-        A = H / np.outer(scale, scale) + damping * np.eye(len(H))
-        step = -np.linalg.solve(A, g / scale) / scale
+        scale = np.sqrt(np.maximum(at.H.diagonal(), 1e-12 * at.H.diagonal().max()))
+        A = at.H / np.outer(scale, scale) + damping * np.eye(len(at.H))
+        step = -np.linalg.solve(A, at.g / scale) / scale
         trial = _retract(chosen, theta, step)
-        trial_equations = _normal_equations(chosen, poses, trial, lever)
-        gain = energy - trial_equations[2]
+        there = energy.normal_equations(trial)
+        gain = at.energy - there.energy
         if gain < 0:
             damping *= 10
-            converged = damping > 1e6 or -gain <= 1e-12 * energy
+            converged = damping > 1e6 or -gain <= 1e-12 * at.energy
         else:
-            theta, (H, g, energy) = trial, trial_equations
+            theta, at = trial, there
             damping = max(damping * 0.1, LEAST_DAMPING)
-            converged = bool(gain <= 1e-9 * energy or np.abs(step).max() < 1e-12)
-    return _estimate(problem, chosen, poses, theta, lever, iteration, converged)
+            converged = bool(gain <= 1e-9 * at.energy or np.abs(step).max() < 1e-12)
+    return _estimate(problem, chosen, energy, theta, iteration, converged)
 
 
 def _estimate(
-    problem: Problem, chosen: Locus, poses: list, theta: Array, lever: float, iteration: int, converged: bool
+    problem: Problem, chosen: Locus, energy: "_Energy", theta: Array, iteration: int, converged: bool
 ) -> Estimate:
     """The answer with the residuals of the locus and a covariance that trusts the residuals alone.
 
     inv(H) (sum g_i g_iT) inv(H) with g_i the gradient of one pose holds whatever mixture of position and
     rotation noise made the residuals; it is scaled by N / (N - unknowns / residuals of a pose).
     """
-    H, scatter, residual = _scatter(problem, chosen, poses, theta, lever)
+    H, scatter, residual = energy.scatter(theta)
     spread = np.sqrt(np.maximum(H.diagonal(), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(H / np.outer(spread, spread))
     inverse = ((vectors / np.maximum(values, 1e-15)) @ vectors.T) / np.outer(spread, spread)
     free = max(len(problem) - len(H) / residual.shape[1], 1.0)
     names, J = chosen.reported(theta)
     covariance = Covariance(names, J @ inverse @ scatter @ inverse @ J.T * (len(problem) / free))
-    least = vectors[:, 0] / spread
     return chosen.estimate(
         theta,
         problem,
-        null_direction_sensor=least,
+        null_direction_sensor=vectors[:, 0] / spread,
         residual=residual,
         covariance=covariance,
         sigma_t=float(np.sqrt((residual**2).sum() / max(residual.size - len(H), 1))),
@@ -135,29 +134,84 @@ def _start(problem: Problem, chosen: Locus, options: Options) -> Array:
     return chosen.theta(replace(axes, offset=axes.offset + options.shift_start_m * axes.orbital_axis))
 
 
-def _chunks(problem: Problem) -> list[list[ca.DM]]:
-    """For each placement, blocks (13, CHUNK) of [R row-major, p, weight], padded with weight 0."""
-    data = np.concatenate(
-        [problem.rotations.reshape(-1, 9), problem.p_world_sensor, np.ones((len(problem), 1))], axis=1
-    )
-    blocks = []
-    for k in range(problem.placements):
-        rows = data[problem.placement == k]
-        padding = np.zeros((-len(rows) % CHUNK, 13))
-        padding[:, [0, 4, 8]] = 1
-        full = np.concatenate([rows, padding]).T
-        blocks.append([ca.DM(full[:, i : i + CHUNK]) for i in range(0, full.shape[1], CHUNK)])
-    return blocks
+@dataclass(frozen=True, eq=False)
+class _NormalEquations:
+    H: Array
+    g: Array
+    energy: float
+
+
+class _Energy:
+    """The energy of a problem's poses in the tangent space of all unknowns, summed chunk by chunk."""
+
+    def __init__(self, problem: Problem, chosen: Locus, lever: float):
+        self._problem, self._chosen = problem, chosen
+        self._lever = np.array([lever])
+        self._chunks = [_chunks(problem, k) for k in range(problem.placements)]
+        self._function, rows = _rows_of_chunk(chosen)
+        self._buffer, self._evaluate = self._function.buffer()
+        self._rows = np.empty((CHUNK, chosen.size + 1, rows))
+
+    def normal_equations(self, theta: Array) -> _NormalEquations:
+        """H (k, k), gradient (k,) and the energy, m^2, at theta (P, size)."""
+        bases, columns, size = _layout(self._chosen, theta)
+        H, g, energy = np.zeros((size, size)), np.zeros(size), 0.0
+        for k, chunks in enumerate(self._chunks):
+            M = np.zeros((self._chosen.size + 1,) * 2)
+            for chunk in chunks:
+                Je = self._linearised(theta[k], chunk).swapaxes(1, 2).reshape(-1, self._chosen.size + 1)
+                M += Je.T @ Je
+            H[np.ix_(columns[k], columns[k])] += bases[k].T @ M[:-1, :-1] @ bases[k]
+            g[columns[k]] += bases[k].T @ M[:-1, -1]
+            energy += float(M[-1, -1])
+        return _NormalEquations(H, g, energy)
+
+    def scatter(self, theta: Array) -> tuple[Array, Array, Array]:
+        """H (k, k), the sum of g_i g_iT (k, k) over the poses, and the residuals (N, rows), m."""
+        bases, columns, size = _layout(self._chosen, theta)
+        H, scatter = np.zeros((size, size)), np.zeros((size, size))
+        residual = np.zeros((len(self._problem), self._rows.shape[2]))
+        for k, chunks in enumerate(self._chunks):
+            here = np.flatnonzero(self._problem.placement == k)
+            index = np.ix_(columns[k], columns[k])
+            for start, chunk in zip(range(0, len(here), CHUNK), chunks, strict=True):
+                poses = here[start : start + CHUNK]
+                Je = self._linearised(theta[k], chunk)[: len(poses)]
+                J = bases[k].T @ Je[:, :-1]
+                gradient = (J @ Je[:, -1, :, None])[..., 0]
+                scatter[index] += gradient.T @ gradient
+                H[index] += (J @ J.swapaxes(1, 2)).sum(axis=0)
+                residual[poses] = Je[:, -1]
+        return H, scatter, residual
+
+    def _linearised(self, theta: Array, chunk: Array) -> Array:
+        """[J | e] transposed, (CHUNK, size + 1, rows); valid until the next call."""
+        for i, argument in enumerate((np.ascontiguousarray(theta), chunk, self._lever)):
+            self._buffer.set_arg(i, memoryview(argument.reshape(-1)))
+        self._buffer.set_res(0, memoryview(self._rows.reshape(-1)))
+        self._evaluate()
+        return self._rows
+
+
+def _chunks(problem: Problem, placement: int) -> list[Array]:
+    """Blocks (CHUNK, 13) of [R row-major, p, weight] of one placement, padded with weight 0."""
+    here = np.flatnonzero(problem.placement == placement)
+    data = np.zeros((len(here) + -len(here) % CHUNK, 13))
+    data[:, [0, 4, 8]] = 1
+    data[: len(here), :9] = problem.rotations[here].reshape(-1, 9)
+    data[: len(here), 9:12] = problem.p_world_sensor[here]
+    data[: len(here), 12] = 1
+    return np.split(data, len(data) // CHUNK)
 
 
 @lru_cache(maxsize=8)
-def _mapped(chosen: Locus) -> tuple[ca.Function, int]:
-    """[J | e] of one pose, weighted, mapped over a chunk; and the number of its rows."""
+def _rows_of_chunk(chosen: Locus) -> tuple[ca.Function, int]:
+    """[J | e] of one pose, weighted, mapped over a chunk, and the number of residuals of a pose."""
     theta, pose, lever = ca.SX.sym("theta", chosen.size), ca.SX.sym("pose", 13), ca.SX.sym("lever")
     R, p, weight = ca.reshape(pose[:9], 3, 3).T, pose[9:12], pose[12]
     e = chosen.residual(theta, R, p, lever) * weight
-    rows = ca.horzcat(ca.jacobian(e, theta), e)
-    one = ca.Function("rows", [theta, pose, lever], [ca.vec(ca.densify(rows))], {"cse": True})
+    rows = ca.densify(ca.vec(ca.horzcat(ca.jacobian(e, theta), e)))
+    one = ca.Function("rows", [theta, pose, lever], [rows], {"cse": True})
     return one.map("rows_of_chunk", "serial", CHUNK, [0, 2], []), e.numel()
 
 
@@ -168,40 +222,6 @@ def _layout(chosen: Locus, theta: Array) -> tuple[list[Array], list[np.ndarray],
     shared = len(theta) * own + np.arange(bases[0].shape[1] - own)
     columns = [np.concatenate([k * own + np.arange(own), shared]) for k in range(len(theta))]
     return bases, columns, int(columns[0].max()) + 1
-
-
-def _normal_equations(chosen: Locus, poses: list, theta: Array, lever: float) -> tuple[Array, Array, float]:
-    """H (k, k), gradient (k,) in the tangent space of all unknowns, and the energy, m^2."""
-    function, rows = _mapped(chosen)
-    bases, columns, size = _layout(chosen, theta)
-    H, g, energy = np.zeros((size, size)), np.zeros(size), 0.0
-    for k, blocks in enumerate(poses):
-        M = np.zeros((chosen.size + 1, chosen.size + 1))
-        for block in blocks:
-            Je = function(theta[k], block, lever).full().reshape(chosen.size + 1, rows * CHUNK)
-            M += Je @ Je.T
-        H[np.ix_(columns[k], columns[k])] += bases[k].T @ M[:-1, :-1] @ bases[k]
-        g[columns[k]] += bases[k].T @ M[:-1, -1]
-        energy += float(M[-1, -1])
-    return H, g, energy
-
-
-def _scatter(problem: Problem, chosen: Locus, poses: list, theta: Array, lever: float) -> tuple[Array, Array, Array]:
-    """H (k, k), the sum of g_i g_iT (k, k) over the poses, and the residuals (N, rows), m."""
-    function, rows = _mapped(chosen)
-    bases, columns, size = _layout(chosen, theta)
-    H, scatter, residual = np.zeros((size, size)), np.zeros((size, size)), np.zeros((len(problem), rows))
-    for k, blocks in enumerate(poses):
-        Je = [function(theta[k], block, lever).full().reshape(chosen.size + 1, rows, CHUNK) for block in blocks]
-        here = np.flatnonzero(problem.placement == k)
-        all_poses = np.concatenate(Je, axis=2)[:, :, : len(here)]
-        J, e = np.einsum("irn,ij->jrn", all_poses[:-1], bases[k]), all_poses[-1]
-        gradient = (J * e).sum(axis=1)
-        index = np.ix_(columns[k], columns[k])
-        scatter[index] += gradient @ gradient.T
-        H[index] += np.einsum("irn,jrn->ij", J, J)
-        residual[here] = e.T
-    return H, scatter, residual
 
 
 def _retract(chosen: Locus, theta: Array, step: Array) -> Array:
