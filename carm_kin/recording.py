@@ -1,44 +1,48 @@
 """A recording: the poses of the tracked sensor, and what is known of the joints while they were taken."""
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from carm_kin.errors import InputError
+from carm_kin.recording_checks import (
+    LABEL_TOLERANCE_M,
+    LABEL_TOLERANCE_RAD,
+    OPTIONAL_COLUMNS,
+    ROTATION_TOLERANCE,
+    PoseError,
+    first_known,
+    label_unit,
+    numbered,
+    numeric,
+    rotations,
+    text,
+    warnings_of,
+)
 from solvers.estimate import Note
 from solvers.problem import ANGULAR, ORBITAL, Problem
 from solvers.se3 import Array
 
-ROTATION_TOLERANCE = 1e-3
-"""Largest entry of ``R Rᵀ - I`` that is taken for rounding."""
-LABEL_TOLERANCE_RAD = float(np.radians(1e-6))
-"""How far the labels of a held joint may differ within a sweep."""
-LABEL_TOLERANCE_M = 1e-9
-"""The same for a prismatic joint."""
-OPTIONAL_COLUMNS = ("time_s", "sweep", "moving", "placement")
-"""What a recording may say of each pose, next to the joints' values."""
+__all__ = [
+    "LABEL_TOLERANCE_M",
+    "LABEL_TOLERANCE_RAD",
+    "OPTIONAL_COLUMNS",
+    "ROTATION_TOLERANCE",
+    "PoseError",
+    "Recording",
+    "Source",
+    "Sweep",
+    "to_problem",
+]
 
 _PER_POSE = ("p_world_sensor", "R_world_sensor", *OPTIONAL_COLUMNS, "pose_number")
 _ONE_A_SWEEP = {
     "moving": "one joint moves in a sweep; leave 'moving' empty in the whole sweep where several do",
     "placement": "a sweep has one base placement; give the sweeps of another placement labels of their own",
 }
-
-
-class PoseError(InputError):
-    """Bad data at one pose. A reader that knows where the pose stands in its file says so instead."""
-
-    def __init__(self, problem: str, pose: int, column: str):
-        super().__init__(problem, file=f"pose {pose}", column=column)
-        self.problem = problem
-        self.pose = pose
-        self.column = column
-
-    def __reduce__(self) -> tuple:
-        return type(self), (self.problem, self.pose, self.column)
 
 
 @dataclass(frozen=True)
@@ -101,18 +105,18 @@ class Recording:
     def __post_init__(self) -> None:
         n = len(self.p_world_sensor)
         checked = {
-            "p_world_sensor": _numeric("p_world_sensor", self.p_world_sensor, (n, 3)),
-            "joints": {j: _numeric(f"q_{j}", v, (n,), unknown=True) for j, v in self.joints.items()},
-            "metadata": {name: _text(name, values, n) for name, values in self.metadata.items()},
+            "p_world_sensor": numeric("p_world_sensor", self.p_world_sensor, (n, 3)),
+            "joints": {j: numeric(f"q_{j}", v, (n,), unknown=True) for j, v in self.joints.items()},
+            "metadata": {name: text(name, values, n) for name, values in self.metadata.items()},
             "pose_number": np.asarray(self.pose_number if len(self.pose_number) else np.arange(n), dtype=int),
         }
         if self.R_world_sensor is not None:
-            checked["R_world_sensor"] = _rotations(self.R_world_sensor, n)
+            checked["R_world_sensor"] = rotations(self.R_world_sensor, n)
         if self.time_s is not None:
-            checked["time_s"] = _numeric("time_s", self.time_s, (n,))
+            checked["time_s"] = numeric("time_s", self.time_s, (n,))
         for name in ("sweep", "moving", "placement"):
             if getattr(self, name) is not None:
-                checked[name] = _text(name, getattr(self, name), n)
+                checked[name] = text(name, getattr(self, name), n)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
         self._check_numbers()
@@ -134,7 +138,12 @@ class Recording:
     @property
     def placements(self) -> tuple[str, ...]:
         """The labels of the base placements, in order of first appearance."""
-        return ("",) if self.placement is None else tuple(_numbered(self.placement)[0])
+        return ("",) if self.placement is None else tuple(numbered(self.placement)[0])
+
+    @cached_property
+    def placement_number(self) -> np.ndarray:
+        """(N,) the index in `placements` of each pose's placement."""
+        return np.zeros(len(self), dtype=int) if self.placement is None else numbered(self.placement)[1]
 
     @cached_property
     def sweep_number(self) -> np.ndarray:
@@ -142,7 +151,7 @@ class Recording:
         number = np.full(len(self), -1)
         if self.sweep is not None:
             member = np.flatnonzero(self.sweep != "")
-            number[member] = _numbered(self.sweep[member])[1]
+            number[member] = numbered(self.sweep[member])[1]
         return number
 
     @cached_property
@@ -164,18 +173,12 @@ class Recording:
     @cached_property
     def sweep_labels(self) -> Mapping[str, Array]:
         """Joint name -> (S,) the first known value in every sweep, NaN where there is none."""
-        labels = {}
-        for joint, values in self.joints.items():
-            labels[joint] = np.full(len(self._first), np.nan)
-            known = np.flatnonzero(np.isfinite(values) & (self.sweep_number >= 0))
-            number, first = np.unique(self.sweep_number[known], return_index=True)
-            labels[joint][number] = values[known[first]]
-        return labels
+        return {j: first_known(values, self.sweep_number, len(self._first)) for j, values in self.joints.items()}
 
     @property
     def warnings(self) -> tuple[Note, ...]:
         """What is allowed but looks like a mistake."""
-        return tuple(_warnings(self))
+        return tuple(warnings_of(self))
 
     @cached_property
     def _first(self) -> np.ndarray:
@@ -205,9 +208,7 @@ class Recording:
             return
         for joint, labels in self.sweep_labels.items():
             values, expected = self.joints[joint], labels[self.sweep_number]
-            tolerance, scale, unit = LABEL_TOLERANCE_RAD, 180 / np.pi, "deg"
-            if joint in self.prismatic:
-                tolerance, scale, unit = LABEL_TOLERANCE_M, 1e3, "mm"
+            tolerance, scale, unit = label_unit(joint in self.prismatic)
             wrong = (self.moving != "") & (self.moving != joint) & (np.abs(values - expected) > tolerance)
             hint = f"within a sweep only the joint named in 'moving' changes its value ({unit})"
             self._check_constant(f"q_{joint}", values * scale, expected * scale, wrong, hint)
@@ -227,6 +228,7 @@ def to_problem(recording: Recording, angular: str = "angular", orbital: str = "o
 
     A joint is held through a sweep in which the other one moves, at the sweep's label where that is known.
     Both are free where the sweep or its moving joint is unknown. Raises InputError where a third joint moves.
+    Every other joint is taken to stand still in a placement; `Recording.warnings` tells where it does not.
     """
     file = recording.source.path if recording.source else None
     held, label = np.full((len(recording), 2), -1), np.full((len(recording), 2), np.nan)
@@ -239,7 +241,7 @@ def to_problem(recording: Recording, angular: str = "angular", orbital: str = "o
             label[:, column] = recording.joints[joint]
             poses = np.flatnonzero(held[:, column] >= 0)
             label[poses, column] = recording.sweep_labels[joint][held[poses, column]]
-    for moving in () if recording.moving is None else _numbered(recording.moving)[0]:
+    for moving in () if recording.moving is None else numbered(recording.moving)[0]:
         if moving not in ("", angular, orbital):
             close = difflib.get_close_matches(moving, (angular, orbital), 1)
             meant = f"did you mean '{close[0]}'? Otherwise " if close else ""
@@ -249,82 +251,4 @@ def to_problem(recording: Recording, angular: str = "angular", orbital: str = "o
                 file=file,
                 column="moving",
             )
-    one = np.zeros(len(recording), dtype=int)
-    placement = one if recording.placement is None else _numbered(recording.placement)[1]
-    return Problem(recording.p_world_sensor, recording.R_world_sensor, placement, held, label)
-
-
-def _warnings(recording: Recording) -> Iterable[Note]:
-    n = len(recording)
-    if recording.missing:
-        text = f"{recording.missing} of {n + recording.missing} frames have no pose and were left out"
-        yield Note("missing_frames", text)
-    same = np.all(np.diff(recording.p_world_sensor, axis=0) == 0, axis=1)
-    if recording.R_world_sensor is not None:
-        same &= np.all(np.diff(recording.R_world_sensor, axis=0) == 0, axis=(1, 2))
-    if same.any():
-        yield Note("duplicated_poses", f"{np.count_nonzero(same)} of {n} poses are identical to the pose before them")
-    if recording.time_s is not None and np.any(back := np.diff(recording.time_s) <= 0):
-        pose = recording.pose_number[np.argmax(back) + 1]
-        yield Note(
-            "time_not_increasing", f"time_s does not increase {np.count_nonzero(back)} times, first at pose {pose}"
-        )
-    if single := [f"'{sweep.label}'" for sweep in recording.sweeps if len(sweep.poses) == 1]:
-        more = f" and {len(single) - 5} more" if len(single) > 5 else ""
-        yield Note("sweep_of_one_pose", f"{len(single)} sweeps have one pose only: {', '.join(single[:5])}{more}")
-    if recording.moving is not None:
-        loose = np.count_nonzero((recording.moving != "") & (recording.sweep_number < 0))
-        if loose:
-            yield Note(
-                "moving_without_sweep", f"{loose} poses name a moving joint but no sweep: every joint is taken as free"
-            )
-    for name in recording.metadata:
-        if close := difflib.get_close_matches(name.lower(), OPTIONAL_COLUMNS, 1, 0.8):
-            yield Note("misspelt_column", f"column '{name}' is kept as metadata; did you mean '{close[0]}'?")
-
-
-def _numbered(labels: np.ndarray) -> tuple[list[str], np.ndarray]:
-    """The distinct labels in order of first appearance, and the (N,) number of each pose's label."""
-    distinct = list(dict.fromkeys(labels))
-    numbers = dict(zip(distinct, range(len(distinct)), strict=True))
-    return distinct, np.fromiter(map(numbers.__getitem__, labels), int, len(labels))
-
-
-def _numeric(name: str, values: object, shape: tuple[int, ...], unknown: bool = False) -> Array:
-    """Float array of the given shape; finite, or NaN where `unknown` allows it."""
-    try:
-        array = np.asarray(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is not an array of numbers: {error}") from None
-    if array.shape != shape:
-        raise InputError(f"{name} has the shape {array.shape}; {shape} is needed")
-    bad = np.isinf(array) if unknown else ~np.isfinite(array)
-    if bad.any():
-        pose = int(np.argwhere(bad)[0, 0])
-        raise PoseError("the value is empty or not finite", pose, name)
-    return array
-
-
-def _rotations(values: object, n: int) -> Array:
-    R = _numeric("R_world_sensor", values, (n, 3, 3))
-    error = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
-    if np.any(bad := error > ROTATION_TOLERANCE):
-        pose = int(np.argmax(bad))
-        problem = (
-            f"not a rotation: R Rᵀ differs from the identity by {error[pose]:.2g} (at most {ROTATION_TOLERANCE:g})"
-        )
-        raise PoseError(problem, pose, "R_world_sensor")
-    if np.any(bad := np.einsum("ni,ni->n", np.cross(R[:, 0], R[:, 1]), R[:, 2]) < 0):
-        problem = "a reflection, not a rotation: the frames must be right-handed"
-        raise PoseError(problem, int(np.argmax(bad)), "R_world_sensor")
-    return R
-
-
-def _text(name: str, values: Iterable[object], n: int) -> np.ndarray:
-    """(N,) object array of str; fixed-width arrays would take N times the longest text."""
-    text = [str(value).strip() for value in values]
-    if len(text) != n:
-        raise InputError(f"{name} has {len(text)} entries for {n} poses")
-    array = np.empty(n, dtype=object)
-    array[:] = text
-    return array
+    return Problem(recording.p_world_sensor, recording.R_world_sensor, recording.placement_number, held, label)

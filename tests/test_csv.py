@@ -3,6 +3,7 @@
 import hashlib
 import sys
 import types
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +13,8 @@ from hypothesis import strategies as st
 
 from carm_kin import formats
 from carm_kin.errors import InputError
+from carm_kin.formats import _table, read_recording, write_recording
 from carm_kin.formats import csv as native
-from carm_kin.formats import read_recording, write_recording
 from carm_kin.recording import Recording, Source
 from solvers.se3 import exp_so3, quat_wxyz_from_rotation
 
@@ -353,6 +354,26 @@ def test_a_new_format_is_one_new_module(tmp_path, monkeypatch):
         assert read_recording(path, format).p_world_sensor.tolist() == [[1, 2, 3]]
     with pytest.raises(InputError, match="no format 'fake' here; choose from csv"):
         write_recording(Recording(np.zeros((1, 3))), tmp_path / "a.fk", format="fake")
+
+
+def test_a_module_whose_name_begins_with_an_underscore_is_no_format(tmp_path, monkeypatch):
+    (tmp_path / "_hidden.py").write_text("def read(path):\n    raise AssertionError\nraise AssertionError\n")
+    monkeypatch.setattr(formats, "__path__", [*formats.__path__, str(tmp_path)])
+    assert not any(name.startswith("_") for name in formats.formats())
+
+
+def test_tables_with_another_delimiter_have_the_same_places(tmp_path):
+    spaces = _table.read_lines(tmp_path / "a.tum", b"# t x\n1  2 \n\n3\t4\n5 x\n", "a pose", " ")
+    with pytest.raises(InputError, match=r"a\.tum, line 5, column x: 'x' is not a number"):
+        _table.read_columns(spaces, ["t", "x"], ["t", "x"], 2)
+    numbers, _ = _table.read_columns(spaces.split(2)[0], ["t", "x"], ["t", "x"], 1)
+    assert (numbers["t"].tolist(), numbers["x"].tolist()) == ([1, 3], [2, 4])
+    with pytest.raises(InputError, match=r"line 2, column 3: byte 0xe4"):
+        _table.read_lines(tmp_path / "a.tum", b"1 2 3\n1  2 \xe4", "a pose", " ")
+    tabs = _table.read_lines(tmp_path / "a.tsv", b'a\tb\n"1,\t2"\t3\n', "a pose", "\t")
+    assert tabs.cells() == [["a", "b"], ["1,\t2", "3"]]
+    with pytest.raises(InputError, match=r"line 1, column x_mm: .*seems to use ',' .* use a tab"):
+        _table.check_present(replace(tabs, text=["x_mm,y_mm"]), ["x_mm,y_mm"], ["x_mm", "y_mm"], "")
 
 
 def test_an_unknown_format_is_refused_with_the_valid_names(tmp_path):

@@ -178,6 +178,33 @@ def test_warnings(recording, code, words):
     assert all(word in note.message for word in words), note.message
 
 
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"joints": {"lift": [1, 1, 2, 2, 1, 2]}, "placement": None}, "'lift' has 2000 mm at pose 2 and 1000 mm"),
+        ({"joints": {"lift": [np.nan] * 4 + [3, 2]}, "placement": None, "moving": None}, "2000 mm at pose 5"),
+        ({"joints": {"lift": np.zeros(6), "tilt": np.radians([1, 1, 2, 2, 1, 3])}}, "'tilt' has 3 deg at pose 5"),
+    ],
+)
+def test_another_joint_that_moves_in_a_placement_is_a_warning(change, words):
+    (note,) = two_sweeps(prismatic=frozenset({"lift"}), **change).warnings
+    assert note.code == "other_joint_moved"
+    assert words in note.message
+    assert "'placement' of its own" in note.message
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"joints": {"lift": [1, 1, 2, 2, 1, 2]}},
+        {"joints": {"lift": [1, 1 + 9e-10, 2, 2, np.nan, np.nan]}},
+        {"joints": {"lift": np.zeros(6), "swivel": [1, 1, 2, 2, 1, 3]}, "moving": ["o", "o", "", "", "o", ""]},
+    ],
+)
+def test_what_stands_still_or_may_be_an_axis_is_no_warning(change):
+    assert two_sweeps(prismatic=frozenset({"lift"}), **change).warnings == ()
+
+
 def test_poses_that_share_only_the_position_are_no_duplicates():
     assert Recording(np.zeros((3, 3)), exp_so3(RNG.normal(size=(3, 3)))).warnings == ()
 

@@ -1,4 +1,4 @@
-"""Recording formats, found by name: every module of this package that has a `read` is one.
+"""Recording formats, found by name: every public module of this package that has a `read` is one.
 
 A format module has ``read(path) -> Recording``, and may have ``write(recording, path)`` and ``EXTENSIONS``,
 the file name endings (".csv") by which it is chosen where no format is named.
@@ -29,7 +29,8 @@ class Format:
 def formats() -> dict[str, Format]:
     """Every format by its name."""
     found = {}
-    for name in sorted(module.name for module in pkgutil.iter_modules(__path__)):
+    names = [module.name for module in pkgutil.iter_modules(__path__)]
+    for name in sorted(name for name in names if not name.startswith("_")):
         module = importlib.import_module(f"{__name__}.{name}")
         if hasattr(module, "read"):
             extensions = tuple(getattr(module, "EXTENSIONS", ()))

@@ -1,0 +1,151 @@
+"""What is checked of a recording's arrays, and what of a sound recording looks like a mistake."""
+
+import difflib
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from carm_kin.errors import InputError
+from solvers.estimate import Note
+from solvers.se3 import Array
+
+if TYPE_CHECKING:
+    from carm_kin.recording import Recording
+
+ROTATION_TOLERANCE = 1e-3
+"""Largest entry of ``R Rᵀ - I`` that is taken for rounding."""
+LABEL_TOLERANCE_RAD = float(np.radians(1e-6))
+"""How far the labels of a held joint may differ within a sweep."""
+LABEL_TOLERANCE_M = 1e-9
+"""The same for a prismatic joint."""
+OPTIONAL_COLUMNS = ("time_s", "sweep", "moving", "placement")
+"""What a recording may say of each pose, next to the joints' values."""
+
+
+class PoseError(InputError):
+    """Bad data at one pose. A reader that knows where the pose stands in its file says so instead."""
+
+    def __init__(self, problem: str, pose: int, column: str):
+        super().__init__(problem, file=f"pose {pose}", column=column)
+        self.problem = problem
+        self.pose = pose
+        self.column = column
+
+    def __reduce__(self) -> tuple:
+        return type(self), (self.problem, self.pose, self.column)
+
+
+def numeric(name: str, values: object, shape: tuple[int, ...], unknown: bool = False) -> Array:
+    """Float array of the given shape; finite, or NaN where `unknown` allows it."""
+    try:
+        array = np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is not an array of numbers: {error}") from None
+    if array.shape != shape:
+        raise InputError(f"{name} has the shape {array.shape}; {shape} is needed")
+    bad = np.isinf(array) if unknown else ~np.isfinite(array)
+    if bad.any():
+        pose = int(np.argwhere(bad)[0, 0])
+        raise PoseError("the value is empty or not finite", pose, name)
+    return array
+
+
+def rotations(values: object, n: int) -> Array:
+    """(N, 3, 3) array of rotations, as they are given."""
+    R = numeric("R_world_sensor", values, (n, 3, 3))
+    error = np.abs(np.swapaxes(R, 1, 2) @ R - np.eye(3)).max(axis=(1, 2))
+    if np.any(bad := error > ROTATION_TOLERANCE):
+        pose = int(np.argmax(bad))
+        problem = (
+            f"not a rotation: R Rᵀ differs from the identity by {error[pose]:.2g} (at most {ROTATION_TOLERANCE:g})"
+        )
+        raise PoseError(problem, pose, "R_world_sensor")
+    if np.any(bad := np.einsum("ni,ni->n", np.cross(R[:, 0], R[:, 1]), R[:, 2]) < 0):
+        problem = "a reflection, not a rotation: the frames must be right-handed"
+        raise PoseError(problem, int(np.argmax(bad)), "R_world_sensor")
+    return R
+
+
+def text(name: str, values: Iterable[object], n: int) -> np.ndarray:
+    """(N,) object array of str; fixed-width arrays would take N times the longest text."""
+    labels = [str(value).strip() for value in values]
+    if len(labels) != n:
+        raise InputError(f"{name} has {len(labels)} entries for {n} poses")
+    array = np.empty(n, dtype=object)
+    array[:] = labels
+    return array
+
+
+def numbered(labels: np.ndarray) -> tuple[list[str], np.ndarray]:
+    """The distinct labels in order of first appearance, and the (N,) number of each pose's label."""
+    distinct = list(dict.fromkeys(labels))
+    numbers = dict(zip(distinct, range(len(distinct)), strict=True))
+    return distinct, np.fromiter(map(numbers.__getitem__, labels), int, len(labels))
+
+
+def first_known(values: Array, group: np.ndarray, groups: int) -> Array:
+    """(groups,) the first known value in every group, NaN where there is none; -1 is no group."""
+    first = np.full(groups, np.nan)
+    known = np.flatnonzero(np.isfinite(values) & (group >= 0))
+    number, index = np.unique(group[known], return_index=True)
+    first[number] = values[known[index]]
+    return first
+
+
+def label_unit(prismatic: bool) -> tuple[float, float, str]:
+    """How far the labels of a held joint may differ, and the scale to the unit in which they are shown."""
+    return (LABEL_TOLERANCE_M, 1e3, "mm") if prismatic else (LABEL_TOLERANCE_RAD, 180 / np.pi, "deg")
+
+
+def warnings_of(recording: "Recording") -> Iterable[Note]:
+    """What is allowed but looks like a mistake."""
+    n, missing = len(recording), recording.missing
+    if missing:
+        yield Note("missing_frames", f"{missing} of {n + missing} frames have no pose and were left out")
+    same = np.all(np.diff(recording.p_world_sensor, axis=0) == 0, axis=1)
+    if recording.R_world_sensor is not None:
+        same &= np.all(np.diff(recording.R_world_sensor, axis=0) == 0, axis=(1, 2))
+    if same.any():
+        yield Note("duplicated_poses", f"{np.count_nonzero(same)} of {n} poses are identical to the pose before them")
+    if recording.time_s is not None and np.any(back := np.diff(recording.time_s) <= 0):
+        pose = recording.pose_number[np.argmax(back) + 1]
+        yield Note(
+            "time_not_increasing", f"time_s does not increase {np.count_nonzero(back)} times, first at pose {pose}"
+        )
+    if single := [f"'{sweep.label}'" for sweep in recording.sweeps if len(sweep.poses) == 1]:
+        more = f" and {len(single) - 5} more" if len(single) > 5 else ""
+        yield Note("sweep_of_one_pose", f"{len(single)} sweeps have one pose only: {', '.join(single[:5])}{more}")
+    if recording.moving is not None:
+        loose = np.count_nonzero((recording.moving != "") & (recording.sweep_number < 0))
+        if loose:
+            yield Note(
+                "moving_without_sweep", f"{loose} poses name a moving joint but no sweep: every joint is taken as free"
+            )
+    for name in recording.metadata:
+        if close := difflib.get_close_matches(name.lower(), OPTIONAL_COLUMNS, 1, 0.8):
+            yield Note("misspelt_column", f"column '{name}' is kept as metadata; did you mean '{close[0]}'?")
+    yield from _other_joints_moved(recording)
+
+
+def _other_joints_moved(recording: "Recording") -> Iterable[Note]:
+    """A note for each joint that is neither of the two axes and yet changes within a placement.
+
+    The axes are among the joints named in `moving`; where fewer than two are, any angle may be the other one.
+    """
+    moving = set() if recording.moving is None else {*recording.moving} - {""}
+    one_axis = len(moving - recording.prismatic) < 2
+    placement = recording.placement_number
+    for joint, values in recording.joints.items():
+        if joint in moving or (one_axis and joint not in recording.prismatic):
+            continue
+        tolerance, scale, unit = label_unit(joint in recording.prismatic)
+        before = first_known(values, placement, len(recording.placements))[placement]
+        if np.any(moved := np.abs(values - before) > tolerance):
+            pose = np.argmax(moved)
+            yield Note(
+                "other_joint_moved",
+                f"joint '{joint}' has {values[pose] * scale:.9g} {unit} at pose {recording.pose_number[pose]} and "
+                f"{before[pose] * scale:.9g} {unit} before in the same placement; "
+                "each of its positions needs a 'placement' of its own",
+            )
