@@ -1,50 +1,117 @@
 """The command `carm-kin`. The only place that prints and sets the exit status.
 
-0 done; 2 bad usage or bad input; 3 refused, since the data cannot support a result; 1 a defect of ours.
-Human text goes to stderr, results asked for with ``--json -`` to stdout.
+0 done; 2 bad usage or bad input; 3 refused, since the data cannot support a result; 1 a defect of ours;
+130 interrupted. Human text goes to stderr; results, where they are asked for with ``--json -``, to stdout.
 """
 
+import inspect as introspection
 import json
-import shlex
+import os
 import sys
+import warnings
+from io import TextIOWrapper
+from math import inf, radians
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from rich.console import Console
 
+import carm_kin
 from carm_kin.errors import CarmKinError, InputError, RefusedError
 
 app = typer.Typer(
     name="carm-kin",
     help="Radiation-free calibration of C-arms and the sensors attached to them.",
-    no_args_is_help=True,
     add_completion=False,
-    pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
 
+Urdf = Annotated[str, typer.Argument(help="A URDF file or the name of a bundled machine.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
-Json = Annotated[str | None, typer.Option("--json", help="Write the result to this file; - for stdout.")]
 Angular = Annotated[str | None, typer.Option(help="Name of the angular joint.")]
 Orbital = Annotated[str | None, typer.Option(help="Name of the orbital joint.")]
+SensorLink = Annotated[str | None, typer.Option(help="Link that carries the sensor.")]
+
+_UsageError: type[Exception] = typer.BadParameter.__bases__[0]
+"""What typer raises for bad usage; it has no public name in every version."""
+
+
+class _Stderr(Console):
+    """Plain text on stderr, whoever reads it to the end or not."""
+
+    def __init__(self) -> None:
+        super().__init__(stderr=True, highlight=False, markup=False, emoji=False)
+
+    def on_broken_pipe(self) -> None:
+        _discard(sys.stderr)
 
 
 def main() -> None:
     """Entry point of the console command."""
+    warnings.filterwarnings("ignore", category=RuntimeWarning)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
-        app()
+        status = app(standalone_mode=False)
     except RefusedError as error:
-        sys.stderr.write(f"refused ({error.code}): {error}\n")
-        sys.exit(3)
+        status = _ended(3, f"refused ({error.code})", str(error))
     except CarmKinError as error:
-        sys.stderr.write(f"error: {error}\n")
-        sys.exit(2)
+        status = _ended(2, "error", str(error))
+    except _UsageError as error:
+        status = _ended(2, "error", _usage(error))
+    except (KeyboardInterrupt, typer.Abort):
+        status = 130
+    sys.exit(status if isinstance(status, int) else 0)
+
+
+def _ended(status: int, verdict: str, message: str) -> int:
+    """Say on one line why the command ended, and give back its status."""
+    console = _Stderr()
+    console.print(f"{verdict}: ", style="bold red", end="")
+    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
+    console.print(line, soft_wrap=True)
+    return status
+
+
+def _usage(error: Any) -> str:
+    """Typer's reason, and where help is."""
+    command = error.ctx.command_path if error.ctx else "carm-kin"
+    return f"{' '.join(error.format_message().split()).rstrip('.')} (see {command} --help)"
+
+
+def _discard(stream: Any) -> None:
+    """Let what is still to be written to a closed pipe vanish without a complaint."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+
+
+def _to_stdout(text: str) -> None:
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
     except BrokenPipeError:
-        sys.stderr.close()
-        sys.exit(0)
+        _discard(sys.stdout)
 
 
-@app.command(epilog="Example: carm-kin demo")
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        _to_stdout(f"carm-kin {carm_kin.__version__}\n")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True, epilog="Example: carm-kin demo")
+def _every_command(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    if context.invoked_subcommand is None:
+        raise InputError("a command is missing; start with carm-kin demo, or see carm-kin --help")
+
+
+@app.command(epilog="Example: carm-kin demo --out my-first-calibration")
 def demo(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")] = Path("carm-kin-demo"),
     seed: Seed = 0,
@@ -52,15 +119,15 @@ def demo(
     """Simulate a clinical recording, calibrate it with every solver, compare with the truth."""
     from carm_kin.demo import run
 
-    run(out, seed)
+    run(out, seed, _Stderr())
 
 
 @app.command(epilog="Example: carm-kin inspect mobile_nonisocentric")
 def inspect(
-    urdf: Annotated[str, typer.Argument(help="A URDF file or the name of a bundled machine.")],
+    urdf: Urdf,
     angular: Angular = None,
     orbital: Orbital = None,
-    sensor_link: Annotated[str | None, typer.Option(help="Link that carries the sensor.")] = None,
+    sensor_link: SensorLink = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the same as JSON on stdout.")] = False,
 ) -> None:
     """Print the chain, its ranges and the nominal geometry of a C-arm."""
@@ -68,14 +135,14 @@ def inspect(
 
     found = inspection.inspect(urdf, sensor_link, angular, orbital)
     if as_json:
-        sys.stdout.write(json.dumps(found.to_dict(), indent=2) + "\n")
+        _to_stdout(json.dumps(found.to_dict(), indent=2) + "\n")
     else:
-        inspection.show(found)
+        inspection.show(found, _Stderr())
 
 
 @app.command(epilog="Example: carm-kin simulate mobile_nonisocentric -o rec.csv --sigma-t-mm 0.5 --sigma-r-deg 0.1")
 def simulate(
-    urdf: Annotated[str, typer.Argument(help="A URDF file or the name of a bundled machine.")],
+    urdf: Urdf,
     out: Annotated[Path, typer.Option("--out", "-o", help="The recording; its truth goes to NAME.truth.json.")],
     protocol: Annotated[str, typer.Option(help="paper, clinical, minimal, free or a .toml file.")] = "clinical",
     sigma_t_mm: Annotated[float, typer.Option(min=0, help="Position noise, one sigma an axis.")] = 0.0,
@@ -85,14 +152,11 @@ def simulate(
     labels: Annotated[bool, typer.Option(help="Keep sweeps and known angles.")] = True,
     angular: Angular = None,
     orbital: Orbital = None,
-    sensor_link: Annotated[str | None, typer.Option(help="Link that carries the sensor.")] = None,
+    sensor_link: SensorLink = None,
     seed: Seed = 0,
 ) -> None:
     """Simulate a recording of a C-arm, with its truth beside it."""
-    from math import radians
-
-    import carm_kin
-
+    truth_file = _writable(_writable(out).with_suffix(".truth.json"))
     recording, truth = carm_kin.simulate(
         urdf,
         protocol,
@@ -107,11 +171,11 @@ def simulate(
         seed=seed,
     )
     carm_kin.write_recording(recording, out)
-    truth_file = out.with_suffix(".truth.json")
     truth.to_json(truth_file)
+    console = _Stderr()
     for note in truth.warnings:
-        sys.stderr.write(f"warning ({note.code}): {note.message}\n")
-    sys.stderr.write(f"{len(recording)} poses written to {out}, the truth to {truth_file}\n")
+        console.print(f"warning ({note.code}): {note.message}", soft_wrap=True)
+    console.print(f"{len(recording)} poses written to {out}, the truth to {truth_file}", soft_wrap=True)
 
 
 @app.command(epilog="Example: carm-kin calibrate rec.csv --solver kinematic --json result.json")
@@ -122,61 +186,102 @@ def calibrate(
     urdf: Annotated[str | None, typer.Option(help="Take the joint names from this URDF.")] = None,
     angular: Angular = None,
     orbital: Orbital = None,
+    sensor_link: SensorLink = None,
     sigma_t_mm: Annotated[float | None, typer.Option(help="Position noise, if it is known.")] = None,
     sigma_r_deg: Annotated[float | None, typer.Option(help="Orientation noise, if it is known.")] = None,
     option: Annotated[
         list[str] | None, typer.Option("--option", "-O", help="Option of the solver, NAME=VALUE; may be repeated.")
     ] = None,
-    as_json: Json = None,
+    as_json: Annotated[str | None, typer.Option("--json", help="Write the result here; - for stdout.")] = None,
 ) -> None:
     """Calibrate a recording: offset, radii, axes, and how good they are."""
-    from math import radians
-
-    import carm_kin
     from carm_kin import summary
+    from carm_kin.provenance import command_line
 
-    joints = _joint_names(urdf, angular, orbital)
+    if as_json not in (None, "-"):
+        _writable(Path(as_json))
+    poses = carm_kin.read_recording(recording)
+    joints = _joint_names(poses, urdf, sensor_link, angular, orbital)
     result = carm_kin.calibrate(
-        carm_kin.read_recording(recording),
+        poses,
         solver,
         locus=locus,
         angular=joints[0],
         orbital=joints[1],
-        sigma_t_m=None if sigma_t_mm is None else sigma_t_mm / 1000,
-        sigma_r_rad=None if sigma_r_deg is None else radians(sigma_r_deg),
-        command=shlex.join(["carm-kin", *(a.rsplit("/", 1)[-1] for a in sys.argv[1:])]),
+        sigma_t_m=_above_zero("--sigma-t-mm", sigma_t_mm, 1e-3),
+        sigma_r_rad=_above_zero("--sigma-r-deg", sigma_r_deg, radians(1)),
+        command=command_line(sys.argv[1:]),
         **_options(option or []),
     )
     if as_json == "-":
-        sys.stdout.write(result.to_json())
-    elif as_json:
+        _to_stdout(result.to_json())
+    elif as_json is not None:
         result.to_json(as_json)
-    summary.show(result)
+    summary.show(result, _Stderr())
     if result.refusal:
         raise RefusedError(result.refusal.code, result.refusal.message)
 
 
-def _joint_names(urdf: str | None, angular: str | None, orbital: str | None) -> tuple[str, str]:
-    """The names of the two joints in the recording: by option, from the URDF, or the usual ones."""
+def _writable(path: Path) -> Path:
+    """The path of a file that may be written, checked before the work starts."""
+    if path.is_dir():
+        raise InputError("is a folder; give the name of a file", file=path)
+    if not path.parent.is_dir():
+        raise InputError(f"the folder {path.parent} does not exist", file=path)
+    return path
+
+
+def _above_zero(option: str, value: float | None, unit: float) -> float | None:
+    """A standard deviation in m or rad."""
+    if value is None:
+        return None
+    if not 0 < value < inf:
+        raise InputError(f"{option} must be a finite number above 0, not {value}; leave it out to estimate it")
+    return value * unit
+
+
+def _joint_names(
+    recording: carm_kin.Recording,
+    urdf: str | None,
+    sensor_link: str | None,
+    angular: str | None,
+    orbital: str | None,
+) -> tuple[str, str]:
+    """The names of the two joints in the recording: by option, from the URDF, or the usual ones.
+
+    Raises InputError where the recording names joints, but not those that were asked for.
+    """
+    names = {*recording.joints, *(() if recording.moving is None else recording.moving)} - {""}
+    has = f"the recording has {', '.join(sorted(names))}"
+    for option, joint in (("--angular", angular), ("--orbital", orbital)):
+        if joint is not None and names and joint not in names:
+            raise InputError(f"{option}: no joint '{joint}'; {has}")
     if urdf is None:
         return angular or "angular", orbital or "orbital"
     from carm_kin.chain import chain_of
     from carm_kin.urdf import read_urdf
 
-    chain = chain_of(read_urdf(urdf), None, angular, orbital)
-    return chain.names[chain.angular], chain.names[chain.orbital]
+    chain = chain_of(read_urdf(urdf), sensor_link, angular, orbital)
+    axes = chain.names[chain.angular], chain.names[chain.orbital]
+    if names and not names & set(axes):
+        raise InputError(f"--urdf: its axes are '{axes[0]}' and '{axes[1]}'; {has}; is it another machine?")
+    return axes
 
 
 def _options(pairs: list[str]) -> dict[str, Any]:
     """``NAME=VALUE`` pairs; a value is JSON where it can be (true, 0.05, null), else text."""
-    found = {}
+    found: dict[str, Any] = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")
+        name = name.strip().replace("-", "_")
         if not equals or not name:
             raise InputError(f"--option '{pair}' is not of the form NAME=VALUE")
+        if name in introspection.signature(carm_kin.calibrate).parameters:
+            raise InputError(f"--option '{name}' is no option of a solver (see carm-kin calibrate --help)")
+        if name in found:
+            raise InputError(f"--option '{name}' is given twice")
         try:
-            value = json.loads(text)
-        except json.JSONDecodeError:
-            value = text
-        found[name.replace("-", "_")] = value
+            found[name] = json.loads(text)
+        except (ValueError, RecursionError):
+            found[name] = text
     return found

@@ -5,8 +5,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich import box
 from rich.console import Console
-from rich.table import Table
+from rich.markup import escape
+from rich.table import Column, Table
 
 from carm_kin.chain import Chain, NominalGeometry, chain_of, nominal_geometry
 from carm_kin.urdf import read_urdf
@@ -19,6 +21,8 @@ class Inspection:
     name: str
     chain: Chain
     geometry: NominalGeometry
+    notes: tuple[str, ...]
+    """What the reader of the URDF accepted with a remark."""
 
     def to_dict(self) -> dict[str, Any]:
         """The same as JSON values, units in the names."""
@@ -35,6 +39,7 @@ class Inspection:
             "minor_radius_mm": geometry.minor_radius * 1e3,
             "isocentric": bool(geometry.isocentric),
             "offset_sensor_pivot_mm": (geometry.offset * 1e3).tolist(),
+            "notes": list(self.notes),
         }
 
     def _joint(self, j: int) -> dict[str, Any]:
@@ -46,28 +51,45 @@ class Inspection:
 
 
 def inspect(urdf: str | Path, sensor_link: str | None, angular: str | None, orbital: str | None) -> Inspection:
-    """Read a URDF (a path or a bundled name). Raises InputError for a broken file or an unknown name."""
+    """Read a URDF (a path or a bundled name), its joints and sensor link by name or by default.
+
+    Raises InputError for a broken file or an unknown name.
+    """
     file = read_urdf(urdf)
     chain = chain_of(file, sensor_link, angular, orbital)
-    return Inspection(Path(file.path).name, chain, nominal_geometry(chain))
+    return Inspection(Path(file.path).name, chain, nominal_geometry(chain), file.notes)
 
 
-def show(found: Inspection, console: Console | None = None) -> None:
-    """Print it, by default on stdout."""
-    console = console or Console(highlight=False)
+def show(found: Inspection, console: Console) -> None:
+    """Print it."""
     data = found.to_dict()
     table = Table(
-        "joint", "type", "from", "to", "", "role", title=f"{found.name}: {data['base_link']} to {data['sensor_link']}"
+        "joint",
+        "type",
+        Column("from", justify="right"),
+        Column("to", justify="right"),
+        "",
+        "role",
+        title=f"{escape(found.name)}: {escape(data['base_link'])} to {escape(data['sensor_link'])}",
+        box=box.SIMPLE,
+        pad_edge=False,
     )
     roles = {data["angular"]: "angular axis (alpha)", data["orbital"]: "orbital axis (beta)"}
     for joint in data["joints"]:
         unit = "mm" if "lower_mm" in joint else "deg"
         low, high = ("" if x is None else f"{x:.1f}" for x in (joint[f"lower_{unit}"], joint[f"upper_{unit}"]))
-        table.add_row(joint["name"], joint["type"], low, high, unit, roles.get(joint["name"], ""))
+        name = joint["name"]
+        table.add_row(escape(name), joint["type"], low, high, unit, roles.get(name, ""))
     console.print(table)
     isocentric = "isocentric" if data["isocentric"] else "not isocentric"
-    console.print(f"major radius          {data['major_radius_mm']:.3f} mm ({isocentric})")
-    console.print(f"non-orthogonality     {data['axis_non_orthogonality_deg']:.3f} deg")
-    console.print(f"minor radius          {data['minor_radius_mm']:.3f} mm")
     x, y, z = data["offset_sensor_pivot_mm"]
-    console.print(f"offset sensor->pivot  ({x:.3f}, {y:.3f}, {z:.3f}) mm")
+    rows = {
+        "major radius": f"{data['major_radius_mm']:.3f} mm ({isocentric})",
+        "minor radius": f"{data['minor_radius_mm']:.3f} mm",
+        "non-orthogonality": f"{data['axis_non_orthogonality_deg']:.3f} deg",
+        "offset sensor to rotation centre": f"({x:.3f}, {y:.3f}, {z:.3f}) mm",
+    }
+    for name, value in rows.items():
+        console.print(f"{name:<34}{value}", soft_wrap=True)
+    for note in found.notes:
+        console.print(f"note: {note}", soft_wrap=True)

@@ -1,25 +1,31 @@
 """Acquisition protocols: which joint moves how, while which angles are held. Angles in radians."""
 
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from carm_kin.chain import Chain
 from carm_kin.errors import InputError
+from carm_kin.typed import record
 from solvers.estimate import Note
 from solvers.se3 import Array
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
-    import tomli as tomllib
+    import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
 FREE_POSES = 1000
-MAX_POSES = 10_000_000
+MAX_POSES = 1_000_000
 """More poses than this in one protocol are taken for a mistake."""
+MAX_DEG = 3600.0
+"""A sweep that starts or ends beyond ten turns is taken for a mistake."""
+MAX_BYTES = 10_000_000
+"""A larger file is no protocol."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,13 +45,19 @@ class SweepPlan:
     """One sweep of a protocol file."""
 
     moving: str
+    """The joint that moves, one of the two axes."""
     from_deg: float
     to_deg: float
     step_deg: float = 1.0
-    held_deg: dict[str, float] = field(default_factory=dict)
+    held_deg: Mapping[str, float] = field(default_factory=dict)
     """Angles of revolute joints that are held, in degrees; others stand at zero."""
-    held_mm: dict[str, float] = field(default_factory=dict)
+    held_mm: Mapping[str, float] = field(default_factory=dict)
     """Positions of prismatic joints that are held, in mm."""
+
+    @property
+    def poses(self) -> int:
+        """How many poses the sweep has; the last one stands at ``to_deg`` or less than a step before it."""
+        return int(abs(self.to_deg - self.from_deg) / self.step_deg + 1e-9) + 1
 
 
 def motions(chain: Chain, protocol: str | Path, rng: np.random.Generator) -> tuple[list[Motion], tuple[Note, ...]]:
@@ -56,7 +68,7 @@ def motions(chain: Chain, protocol: str | Path, rng: np.random.Generator) -> tup
     if str(protocol) in NAMED:
         plan = NAMED[str(protocol)](chain, rng)
     elif str(protocol).endswith(".toml"):
-        plan = [_swept(chain, f"{k:02d}", sweep) for k, sweep in enumerate(_read(Path(protocol)))]
+        plan = _from_file(chain, Path(protocol))
     else:
         names = ", ".join(NAMED)
         raise InputError(f"protocol '{protocol}' is unknown; it is one of {names}, or a .toml file")
@@ -65,24 +77,22 @@ def motions(chain: Chain, protocol: str | Path, rng: np.random.Generator) -> tup
 
 def _paper(chain: Chain, rng: np.random.Generator) -> list[Motion]:
     """19 orbital and 9 angular full circles, 10,080 poses (Lee et al. 2020, Section 4)."""
-    return _grid(chain, range(-90, 91, 10), np.arange(360), range(0, 161, 20), np.arange(360))
+    return _grid(chain, range(-90, 91, 10), np.arange(360.0), range(0, 161, 20), np.arange(360.0))
 
 
 def _minimal(chain: Chain, rng: np.random.Generator) -> list[Motion]:
     """Three orbital circles at -90, 0 and 90 degrees and one angular circle."""
-    return _grid(chain, (-90, 0, 90), np.arange(360), (0,), np.arange(360))
+    return _grid(chain, (-90, 0, 90), np.arange(360.0), (0,), np.arange(360.0))
 
 
 def _clinical(chain: Chain, rng: np.random.Generator) -> list[Motion]:
-    """Five orbital and three angular sweeps within the joint limits."""
-    alpha, beta = (_range_deg(chain, joint) for joint in (chain.angular, chain.orbital))
-    alpha = np.clip(alpha, -90, 90)
+    """Five orbital and three angular sweeps within the joint limits, a pose every degree."""
+    low, high = _range_deg(chain, chain.angular)
+    if low < 90 and high > -90:
+        low, high = max(low, -90.0), min(high, 90.0)
+    start, stop = _range_deg(chain, chain.orbital)
     return _grid(
-        chain,
-        np.linspace(*alpha, 5),
-        np.arange(np.ceil(beta[0]), beta[1] + 1e-9),
-        np.linspace(*beta, 5)[1:4],
-        np.arange(np.ceil(alpha[0]), alpha[1] + 1e-9),
+        chain, np.linspace(low, high, 5), _degrees(start, stop), np.linspace(start, stop, 5)[1:4], _degrees(low, high)
     )
 
 
@@ -92,7 +102,8 @@ def _free(chain: Chain, rng: np.random.Generator) -> list[Motion]:
     q = np.zeros((FREE_POSES, len(chain.names)))
     for joint in (chain.angular, chain.orbital):
         low, high = np.radians(_range_deg(chain, joint))
-        wave = sum(np.sin(k * time + rng.uniform(0, 2 * np.pi)) * rng.normal() / k for k in (1, 2, 3, 5, 8))
+        waves = [np.sin(k * time + rng.uniform(0, 2 * np.pi)) * rng.normal() / k for k in (1, 2, 3, 5, 8)]
+        wave = np.sum(waves, axis=0)
         q[:, joint] = low + (high - low) * (wave - wave.min()) / np.ptp(wave)
     return [Motion(q, "", "")]
 
@@ -105,11 +116,20 @@ NAMED: dict[str, Callable[[Chain, np.random.Generator], list[Motion]]] = {
 }
 
 
-def _range_deg(chain: Chain, joint: int) -> Array:
-    return np.clip(np.degrees([chain.lower[joint], chain.upper[joint]]), -180, 180)
+def _range_deg(chain: Chain, joint: int) -> tuple[float, float]:
+    """The joint's limits, at most one turn."""
+    low, high = np.clip(np.degrees([chain.lower[joint], chain.upper[joint]]), -180, 180)
+    return float(low), float(high)
 
 
-def _grid(chain: Chain, alphas_deg, orbital_deg: Array, betas_deg, angular_deg: Array) -> list[Motion]:
+def _degrees(low: float, high: float) -> Array:
+    """From one limit to the other in equal steps of at most a degree."""
+    return np.linspace(low, high, int(np.ceil(high - low - 1e-9)) + 1)
+
+
+def _grid(
+    chain: Chain, alphas_deg: Iterable[float], orbital_deg: Array, betas_deg: Iterable[float], angular_deg: Array
+) -> list[Motion]:
     """An orbital sweep at each alpha, then an angular sweep at each beta."""
     angular, orbital = chain.names[chain.angular], chain.names[chain.orbital]
     parts = [(f"orbital {a:+.1f} deg", orbital, orbital_deg, angular, a) for a in alphas_deg]
@@ -123,49 +143,67 @@ def _grid(chain: Chain, alphas_deg, orbital_deg: Array, betas_deg, angular_deg: 
     return found
 
 
+def _from_file(chain: Chain, path: Path) -> list[Motion]:
+    """The motions of a protocol file. Raises InputError with the number of the sweep."""
+    try:
+        tables = _read(path).get("sweep")
+        if not isinstance(tables, list) or not tables:
+            keys = "moving, from_deg, to_deg and may have step_deg, held_deg, held_mm"
+            raise InputError(f"no [[sweep]] table; each needs {keys}")
+        plans = [_plan(chain, table, f"[[sweep]] number {k}") for k, table in enumerate(tables, 1)]
+        if (poses := sum(plan.poses for plan in plans)) > MAX_POSES:
+            raise InputError(f"the sweeps have {poses} poses; at most {MAX_POSES} are made: take larger steps")
+    except InputError as error:
+        raise InputError(str(error), file=path) from None
+    width = len(str(len(plans)))
+    return [_swept(chain, f"{k:0{width}d}", plan) for k, plan in enumerate(plans, 1)]
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file."""
+    try:
+        if not path.is_file():
+            raise InputError("is not a file" if path.exists() else "no such file")
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(f"is larger than {MAX_BYTES // 1_000_000} MB, which is no protocol")
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}") from None
+    except RecursionError:
+        raise InputError("no valid TOML: nested too deeply") from None
+    except ValueError as error:
+        raise InputError(f"no valid TOML: {error}") from None
+
+
+def _plan(chain: Chain, table: Any, place: str) -> SweepPlan:
+    """One checked sweep: its types, its numbers and its joints."""
+    plan = record(SweepPlan, table, place)
+    if plan.step_deg <= 0:
+        raise InputError(f"{place}: step_deg must be above 0, not {plan.step_deg}; from_deg and to_deg give the sense")
+    if max(abs(plan.from_deg), abs(plan.to_deg)) > MAX_DEG:
+        raise InputError(f"{place}: from_deg and to_deg must lie within {MAX_DEG:g} degrees")
+    axes = [chain.names[chain.angular], chain.names[chain.orbital]]
+    if plan.moving not in axes:
+        raise InputError(f"{place}: moving must be one of {', '.join(axes)}, not '{plan.moving}'")
+    if plan.moving in plan.held_deg:
+        raise InputError(f"{place}: '{plan.moving}' moves and cannot stand in held_deg")
+    for key, names, prismatic in (("held_deg", plan.held_deg, False), ("held_mm", plan.held_mm, True)):
+        valid = [n for n, kind in zip(chain.names, chain.types, strict=True) if (kind == "prismatic") == prismatic]
+        for name in names:
+            if name not in valid:
+                raise InputError(f"{place}: {key} cannot hold '{name}'; it may have {', '.join(valid) or 'none'}")
+    return plan
+
+
 def _swept(chain: Chain, label: str, plan: SweepPlan) -> Motion:
-    path = np.arange(0.0, abs(plan.to_deg - plan.from_deg) + 1e-9, abs(plan.step_deg))
-    q = np.zeros((len(path), len(chain.names)))
+    q = np.zeros((plan.poses, len(chain.names)))
     for name, value in plan.held_deg.items():
         q[:, chain.index(name)] = np.radians(value)
     for name, value in plan.held_mm.items():
         q[:, chain.index(name)] = value / 1000
-    q[:, chain.index(plan.moving)] = np.radians(plan.from_deg + np.sign(plan.to_deg - plan.from_deg) * path)
+    sense = np.sign(plan.to_deg - plan.from_deg)
+    q[:, chain.index(plan.moving)] = np.radians(plan.from_deg + sense * plan.step_deg * np.arange(plan.poses))
     return Motion(q, label, plan.moving)
-
-
-def _read(path: Path) -> list[SweepPlan]:
-    """The ``[[sweep]]`` tables of a protocol file."""
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read: {error}", file=path) from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"no valid TOML: {error}", file=path) from None
-    tables = content.get("sweep")
-    if not isinstance(tables, list) or not tables:
-        raise InputError(
-            "no [[sweep]] table; each needs moving, from_deg, to_deg and may have step_deg, held_deg, held_mm",
-            file=path,
-        )
-    return [_plan(path, k, table) for k, table in enumerate(tables)]
-
-
-def _plan(path: Path, k: int, table: dict) -> SweepPlan:
-    place = f"[[sweep]] number {k + 1}"
-    try:
-        plan = SweepPlan(**table)
-        numbers = np.array([plan.from_deg, plan.to_deg, plan.step_deg, *plan.held_deg.values(), *plan.held_mm.values()])
-    except (TypeError, AttributeError):
-        raise InputError(
-            f"{place}: needs moving, from_deg, to_deg; may have step_deg, held_deg, held_mm; has {', '.join(table)}",
-            file=path,
-        ) from None
-    if numbers.dtype.kind not in "if" or not np.isfinite(numbers).all():
-        raise InputError(f"{place}: every angle and position must be a finite number", file=path)
-    if plan.step_deg == 0 or abs(plan.to_deg - plan.from_deg) / abs(plan.step_deg) > MAX_POSES:
-        raise InputError(f"{place}: step_deg = {plan.step_deg} gives too many poses", file=path)
-    return plan
 
 
 def _beyond_limits(chain: Chain, plan: list[Motion]) -> tuple[Note, ...]:

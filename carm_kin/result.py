@@ -1,19 +1,25 @@
 """The result of a calibration: metres and radians in Python, named units in its JSON file."""
 
+import contextlib
 import json
 import os
+import uuid
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from carm_kin.errors import InputError
+from carm_kin.result_json import name_in_file, of_json_object, read_object, to_json_value
 from solvers.estimate import Covariance, Note
 from solvers.se3 import Array
 
 SCHEMA = "carm-kin/result/1"
+NOT_IN_FILE = ("angles_rad",)
+TOLERANCE = 1e-6
+"""How far the axes and rotations of a file may be from unit length and orthonormality."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,82 +149,90 @@ class CalibrationResult:
     warnings: tuple[Note, ...]
     refusal: Note | None
     provenance: Provenance
-    angles_rad: Array | None = field(default=None)
+    angles_rad: Array | None = None
     """(N, 2) alpha and beta of every pose; not written to the file."""
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the JSON file: mm and degrees, units in the names."""
-        skipped = ("angles_rad", "residuals_per_sweep", "covariance")
-        data = {"schema": SCHEMA} | {
-            _unit_name(f.name): _plain(getattr(self, f.name), f.name) for f in fields(self) if f.name not in skipped
-        }
-        per_sweep = [_plain(r, "") for r in self.residuals_per_sweep]
-        data["residuals"] = {"overall": data["residuals"], "per_sweep": per_sweep}
-        data["covariance"] = _covariance(self.covariance)
+        written = [f.name for f in fields(self) if f.name not in NOT_IN_FILE]
+        data = {"schema": SCHEMA} | {name_in_file(name): to_json_value(getattr(self, name), name) for name in written}
+        data["residuals"] = {"overall": data["residuals"], "per_sweep": data.pop("residuals_per_sweep")}
         return data
 
     def to_json(self, path: str | os.PathLike | None = None) -> str:
-        """The JSON text; written to ``path``, atomically, where one is given."""
+        """The JSON text; written to ``path``, whole or not at all, where one is given.
+
+        Raises InputError where the place cannot be written.
+        """
         text = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
         if path is not None:
             write_atomically(Path(path), text)
         return text
 
+    @staticmethod
+    def from_json(path: str | os.PathLike) -> "CalibrationResult":
+        """The result in a file that `to_json` wrote; ``angles_rad``, which is not written, is None.
+
+        Writing it again gives the same bytes. Raises InputError that says what is wrong where, also for
+        numbers that contradict each other or the status.
+        """
+        path = Path(path)
+        data = read_object(path)
+        if data.pop("schema", None) != SCHEMA:
+            raise InputError(f"is no result that this version can read: 'schema' must be '{SCHEMA}'", file=path)
+        try:
+            residuals = data.get("residuals")
+            if not isinstance(residuals, dict) or residuals.keys() != {"overall", "per_sweep"}:
+                raise InputError("'residuals' must be an object with 'overall' and 'per_sweep'")
+            data |= {"residuals": residuals["overall"], "residuals_per_sweep": residuals["per_sweep"]}
+            result = of_json_object(CalibrationResult, data, "", skipped=NOT_IN_FILE)
+            if problem := _contradiction(result):
+                raise InputError(problem)
+        except InputError as error:
+            raise InputError(str(error), file=path) from None
+        return result
+
 
 def write_atomically(path: Path, text: str) -> None:
     """Write a whole file or nothing. Raises InputError where the place cannot be written."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
+    if path.is_dir():
+        raise InputError("is a folder; give the name of a file", file=path)
+    temporary = path.with_name(f".{uuid.uuid4().hex}.part")
     try:
         temporary.write_text(text, encoding="utf-8")
         temporary.replace(path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise InputError(f"cannot be written: {error.strerror}", file=path) from None
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
-def _unit_name(name: str) -> str:
-    """The key in the file: millimetres for metres, degrees for radians."""
-    if name.endswith("_m"):
-        return name[:-2] + "_mm"
-    return name[:-4] + "_deg" if name.endswith("_rad") else name
+def _contradiction(result: CalibrationResult) -> str | None:
+    """What in a result that was read cannot be, in words."""
+    unit = [result.orbital_axis_sensor, *(placement.angular_axis_world for placement in result.placements)]
+    rigid = [result.T_sensor_carm, *(placement.T_world_torus for placement in result.placements)]
+    lengths = [result.major_radius_m, result.minor_radius_m, result.sigma.major_radius_m, result.sigma.minor_radius_m]
+    refused = result.refusal is not None
+    numbers = [result.offset_sensor_pivot_m, result.axis_non_orthogonality_rad, result.covariance, *unit, *rigid]
+    numbers += lengths
+    checks = {
+        "status must be 'ok' without a refusal or 'refused' with one": result.status
+        != ("refused" if refused else "ok"),
+        "a refused result must hold no numbers": refused and any(x is not None for x in numbers),
+        "an axis is no unit vector": any(x is not None and abs(x @ x - 1) > TOLERANCE for x in unit),
+        "a transform is no rigid motion": any(x is not None and not _is_rigid(x) for x in rigid),
+        "a length is below 0": any(x is not None and x < 0 for x in lengths),
+        "the numbers of poses, used poses and outliers contradict each other": not (
+            0 <= result.used <= result.poses and result.outliers.count == len(result.outliers.indices)
+        ),
+        "the covariance is not symmetric": result.covariance is not None
+        and not np.allclose(result.covariance.matrix, result.covariance.matrix.T, rtol=TOLERANCE),
+    }
+    return next((words for words, wrong in checks.items() if wrong), None)
 
 
-def _plain(value: Any, name: str) -> Any:
-    """JSON values of a dataclass, in the units of the file."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {_unit_name(f.name): _plain(getattr(value, f.name), f.name) for f in fields(value)}
-    if isinstance(value, Mapping):
-        return {_unit_name(str(k)): _plain(v, str(k)) for k, v in value.items()}
-    if isinstance(value, (tuple, list)):
-        return [_plain(v, name) for v in value]
-    if isinstance(value, np.ndarray):
-        return _scaled_array(value, name).tolist()
-    if isinstance(value, (float, np.floating)):
-        scaled = float(value) * _factor(name)
-        return scaled if np.isfinite(scaled) else None
-    return value.item() if isinstance(value, np.generic) else value
-
-
-def _factor(name: str) -> float:
-    if name.endswith("_m"):
-        return 1e3
-    return float(np.degrees(1.0)) if name.endswith("_rad") else 1.0
-
-
-def _scaled_array(value: Array, name: str) -> Array:
-    if name.startswith("T_"):
-        value = value.copy()
-        value[:3, 3] *= 1e3
-        return value
-    return value * _factor(name)
-
-
-def _covariance(covariance: Covariance | None) -> dict[str, Any] | None:
-    if covariance is None:
-        return None
-    names, scale = [], []
-    for name in covariance.names:
-        angle, unit_vector = "orthogonality" in name, "_axis_" in name and "orthogonality" not in name
-        names.append(name + ("_deg" if angle else "" if unit_vector else "_mm"))
-        scale.append(np.degrees(1.0) if angle else 1.0 if unit_vector else 1e3)
-    return {"names": names, "matrix": (covariance.matrix * np.outer(scale, scale)).tolist()}
+def _is_rigid(T: Array) -> bool:
+    R = T[:3, :3]
+    orthonormal = np.abs(R.T @ R - np.eye(3)).max() < TOLERANCE and np.linalg.det(R) > 0
+    return bool(orthonormal and (T[3] == (0, 0, 0, 1)).all())

@@ -11,13 +11,15 @@ from carm_kin.errors import InputError
 from carm_kin.model import Model
 from carm_kin.protocols import Motion, motions
 from carm_kin.provenance import provenance_of
-from carm_kin.recording import Recording
+from carm_kin.recording import ROTATION_TOLERANCE, Recording
 from carm_kin.urdf import UrdfFile, read_urdf
 from solvers.estimate import Note
 from solvers.se3 import Array, exp_so3, inverse, rotation_from_quat_wxyz, transform
 
 OUTLIER_M = (0.05, 0.5)
 """A gross outlier lies off by a distance between these and has a random orientation."""
+MAX_SIGMA_T_M = 10.0
+"""Larger noise is taken for a wrong unit."""
 WORLD_M = 1.0
 """The torus centre is drawn from a cube of this half-width about the tracker's origin."""
 
@@ -60,6 +62,10 @@ def simulate(
     whose outliers are the poses that were replaced. Raises InputError for bad input.
     """
     noise = _checked(Noise(sigma_t_m, sigma_r_rad, outliers, missing))
+    if seed < 0:
+        raise InputError(f"the seed must be at least 0, not {seed}")
+    for name, T in (("T_world_torus", T_world_torus), ("T_sensor_mount", T_sensor_mount)):
+        _check_rigid(name, T)
     rng = np.random.default_rng(seed)
     file = urdf if isinstance(urdf, UrdfFile) else read_urdf(urdf)
     chain = chain_of(file, sensor_link, angular, orbital)
@@ -84,7 +90,7 @@ def simulate(
         noise,
         outliers=np.flatnonzero(replaced & seen),
         poses=len(recording),
-        notes=notes,
+        notes=(*(Note("urdf", note) for note in file.notes), *notes),
         seed=seed,
     )
 
@@ -104,10 +110,22 @@ def _stations(chain: Chain, q: Array) -> tuple[Array, np.ndarray]:
 def _checked(noise: Noise) -> Noise:
     for name, share in (("outliers", noise.outliers), ("missing", noise.missing)):
         if not 0 <= share < 1:
-            raise InputError(f"{name} is a share of the poses, from 0 to below 1, not {share}")
-    if not (0 <= noise.sigma_t_m < np.inf and 0 <= noise.sigma_r_rad < np.inf):
-        raise InputError("a standard deviation is a finite number, not below 0")
+            raise InputError(f"{name} must be a share of the poses, from 0 to below 1, not {share}")
+    for name, sigma, most in (("sigma_t_m", noise.sigma_t_m, MAX_SIGMA_T_M), ("sigma_r_rad", noise.sigma_r_rad, np.pi)):
+        if not 0 <= sigma <= most:
+            raise InputError(f"{name} must be from 0 to {most:.3g}, not {sigma}")
     return noise
+
+
+def _check_rigid(name: str, T: Array | None) -> None:
+    """Raise InputError where a transform is given that is none."""
+    if T is None:
+        return
+    if np.shape(T) != (4, 4) or not np.isfinite(T).all() or (np.asarray(T)[3] != (0, 0, 0, 1)).any():
+        raise InputError(f"{name} must be a finite (4, 4) transform with the last row 0 0 0 1")
+    R = np.asarray(T)[:3, :3]
+    if np.abs(R.T @ R - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+        raise InputError(f"{name} holds no rotation matrix")
 
 
 def _disturbed(T: Array, noise: Noise, rng: np.random.Generator) -> tuple[Array, Array, np.ndarray]:

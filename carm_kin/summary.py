@@ -1,4 +1,4 @@
-"""A result in words, for the terminal."""
+"""A result in words, for the terminal: one fact a line, each within 80 columns."""
 
 import numpy as np
 from rich.console import Console
@@ -6,16 +6,26 @@ from rich.console import Console
 from carm_kin.result import CalibrationResult
 from solvers.se3 import Array
 
+_NAME_WIDTH = 34
 
-def show(result: CalibrationResult, console: Console | None = None) -> None:
-    """Print the verdict, the numbers with their sigmas, and the warnings; by default on stderr."""
-    console = console or Console(stderr=True, highlight=False)
-    verdict = "[bold green]ok[/]" if result.status == "ok" else "[bold red]refused[/]"
-    console.print(f"{verdict}: solver {result.solver}, {result.used} of {result.poses} poses")
-    for line in (*_numbers(result), *_quality(result)):
+
+def show(result: CalibrationResult, console: Console) -> None:
+    """Print the verdict, the numbers with their sigmas, what the poses leave, and the warnings."""
+    verdict = f"solver {result.solver}, {result.used} of {result.poses} poses"
+    console.print(f"{result.status}: ", style="bold green" if result.status == "ok" else "bold red", end="")
+    console.print(verdict)
+    show_numbers(result, console)
+    for line in _quality(result):
         console.print(f"  {line}", soft_wrap=True)
     for warning in result.warnings:
-        console.print(f"[yellow]warning[/] ({warning.code}): {warning.message}", soft_wrap=True)
+        console.print(f"warning ({warning.code}): ", style="yellow", end="")
+        console.print(warning.message, soft_wrap=True)
+
+
+def show_numbers(result: CalibrationResult, console: Console) -> None:
+    """Print the numbers with their sigmas alone."""
+    for line in _numbers(result):
+        console.print(f"  {line}", soft_wrap=True)
 
 
 def _numbers(result: CalibrationResult) -> list[str]:
@@ -29,27 +39,30 @@ def _numbers(result: CalibrationResult) -> list[str]:
     lines += _direction("orbital axis in the sensor", result.orbital_axis_sensor, sigma.orbital_axis_sensor)
     for k, placement in enumerate(result.placements):
         one = sigma.placements[k] if sigma.placements else None
-        where = f", placement {placement.label}" if len(result.placements) > 1 else ""
-        lines += _vector(
-            f"centre in the world{where}", placement.torus_center_world_m, one and one.torus_center_world_m
-        )
-        lines += _direction(f"angular axis{where}", placement.angular_axis_world, one and one.angular_axis_world)
+        if len(result.placements) > 1:
+            lines.append(f"placement {placement.label}")
+        lines += _vector("centre in the world", placement.torus_center_world_m, one and one.torus_center_world_m)
+        lines += _direction("angular axis in the world", placement.angular_axis_world, one and one.angular_axis_world)
     return lines
 
 
 def _quality(result: CalibrationResult) -> list[str]:
     residuals, noise = result.residuals, result.noise
-    rms = f"{residuals.translation_rms_m * 1e3:.3f} mm"
-    level = f"{(noise.translation_m or 0.0) * 1e3:.3f} mm"
-    if residuals.rotation_rms_rad is not None and noise.rotation_rad is not None:
-        rms += f", {np.degrees(residuals.rotation_rms_rad):.3f} deg"
-        level += f", {np.degrees(noise.rotation_rad):.3f} deg"
+    rms = _both(residuals.translation_rms_m, residuals.rotation_rms_rad)
+    level = _both(noise.translation_m, noise.rotation_rad)
     kind = "estimated" if noise.estimated else "given"
-    return [f"{'residuals, rms':<34}{rms}", f"{f'noise an axis, {kind}':<34}{level}"]
+    return [f"{'residuals, rms':<{_NAME_WIDTH}}{rms}", f"{f'noise an axis, {kind}':<{_NAME_WIDTH}}{level}"]
+
+
+def _both(length: float | None, angle: float | None) -> str:
+    """A length and an angle, as far as they are known."""
+    known = [] if length is None else [f"{length * 1e3:.3f} mm"]
+    known += [] if angle is None else [f"{np.degrees(angle):.3f} deg"]
+    return ", ".join(known)
 
 
 def _line(name: str, value: float, sigma: float | None, unit: str) -> str:
-    return f"{name:<34}{value:>10.3f}" + ("" if sigma is None else f" ± {sigma:.3f}") + f" {unit}"
+    return f"{name:<{_NAME_WIDTH}}{value:>10.3f}" + ("" if sigma is None else f" ± {sigma:.3f}") + f" {unit}"
 
 
 def _length(name: str, value: float | None, sigma: float | None) -> list[str]:
@@ -67,7 +80,7 @@ def _vector(name: str, value: Array | None, sigma: Array | None) -> list[str]:
 def _direction(name: str, value: Array | None, sigma: Array | None) -> list[str]:
     if value is None:
         return []
-    text = f"{name:<34}({value[0]:+.5f}, {value[1]:+.5f}, {value[2]:+.5f})"
+    text = f"{name:<{_NAME_WIDTH}}({value[0]:+.5f}, {value[1]:+.5f}, {value[2]:+.5f})"
     return [text if sigma is None else f"{text} ± {np.degrees(np.linalg.norm(sigma)):.4f} deg"]
 
 
