@@ -1,0 +1,97 @@
+"""What imports what, what prints and what exits, read from the source without running it."""
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SOLVERS = sorted((ROOT / "solvers").rglob("*.py"))
+CARM_KIN = sorted((ROOT / "carm_kin").rglob("*.py"))
+STANDARD = set(sys.stdlib_module_names)
+MOST_LINES = 400
+
+
+def every(files: list[Path]):
+    return pytest.mark.parametrize("path", files, ids=[str(path.relative_to(ROOT)) for path in files])
+
+
+def tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"), str(path))
+
+
+def imports(path: Path) -> set[str]:
+    """Full names of all imported modules, wherever in the file, `import_module("...")` included."""
+    found = set()
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            package = ".".join(path.relative_to(ROOT).parts[: -node.level]) if node.level else ""
+            found.add(".".join(part for part in (package, node.module) if part))
+        elif isinstance(node, ast.Call) and name_of(node.func).split(".")[-1] in ("import_module", "__import__"):
+            found |= {arg.value for arg in node.args[:1] if isinstance(arg, ast.Constant)}
+    return found
+
+
+def name_of(node: ast.expr) -> str:
+    """The dotted name of a call's function, "" where it has none."""
+    if isinstance(node, ast.Attribute):
+        return f"{name_of(node.value)}.{node.attr}"
+    return node.id if isinstance(node, ast.Name) else ""
+
+
+def calls(path: Path) -> list[tuple[str, int]]:
+    return [(name_of(node.func), node.lineno) for node in ast.walk(tree(path)) if isinstance(node, ast.Call)]
+
+
+def test_there_is_something_to_look_at():
+    assert len(SOLVERS) > 10
+    assert len(CARM_KIN) > 10
+    assert any("numpy" in imports(path) for path in SOLVERS)
+    assert any(name == "np.eye" for path in SOLVERS for name, _ in calls(path))
+
+
+@every(SOLVERS)
+def test_solvers_import_only_mathematics(path):
+    roots = {name.split(".")[0] for name in imports(path)}
+    assert roots - STANDARD <= {"numpy", "scipy", "casadi", "solvers"}
+
+
+@every(CARM_KIN)
+def test_only_the_model_imports_pinocchio(path):
+    if path != ROOT / "carm_kin" / "model.py":
+        assert not {name for name in imports(path) if name.split(".")[0] in ("pinocchio", "pin")}
+
+
+def test_the_model_does_import_pinocchio():
+    assert "pinocchio" in imports(ROOT / "carm_kin" / "model.py")
+
+
+@every(CARM_KIN)
+def test_the_package_imports_neither_scripts_nor_tests_nor_benchmarks(path):
+    assert not {name.split(".")[0] for name in imports(path)} & {"scripts", "tests", "benchmarks"}
+
+
+@every([*SOLVERS, *CARM_KIN])
+def test_only_the_command_line_prints_and_exits(path):
+    if path == ROOT / "carm_kin" / "cli.py":
+        return
+    forbidden = {"print", "sys.exit", "exit", "quit", "os._exit", "sys.stdout.write", "sys.stderr.write"}
+    assert [f"{name} in line {line}" for name, line in calls(path) if name in forbidden] == []
+    raised = [node.exc for node in ast.walk(tree(path)) if isinstance(node, ast.Raise) and node.exc is not None]
+    exits = [e for e in raised if name_of(e.func if isinstance(e, ast.Call) else e) == "SystemExit"]
+    if path.name != "__main__.py":
+        assert exits == []
+
+
+@every([*SOLVERS, *CARM_KIN])
+def test_no_file_is_long(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) <= MOST_LINES
+
+
+@every([*SOLVERS, *CARM_KIN])
+def test_every_file_says_what_it_is(path):
+    if path.name != "__main__.py":
+        assert ast.get_docstring(tree(path))
