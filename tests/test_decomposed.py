@@ -85,8 +85,10 @@ def test_epsilon(R, epsilon):
 
 
 @pytest.mark.parametrize("R", [0.1, 0.0])
-def test_two_placements(R):
-    truth = machine(5, R, 0.0, 2)
+@pytest.mark.parametrize("seed", range(8))
+def test_two_placements(R, seed):
+    # every placement finds the directions of its axes anew, with signs of its own
+    truth = machine(seed, R, 0.0, 2)
     motion = joined(small(), sweeps_deg((-40, 30), TURN, (60,), TURN, placement=1))
     for options in (PLAIN, Options(iterations=50)):
         close(decomposed.solve(shuffled(problem(truth, motion)), options), truth)

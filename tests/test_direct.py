@@ -108,6 +108,19 @@ def pivoting(
     return Problem(p, R, placement, blank.held, blank.label), tip, points
 
 
+@pytest.mark.parametrize("R", [0.1, 0.0])
+def test_the_start_does_not_matter(R):
+    data = problem(machine(10, R), wandering(300, 3), 1e-3, 1e-3)
+    near, far = (direct.solve(data, Options(shift_start_m=s, lever_m=0.7)) for s in (0.0, 0.4))
+    deviation = near.covariance.sigma(*(f"offset_sensor_pivot_{k}" for k in "xyz"))
+    assert (np.abs(near.offset - far.offset) < 0.01 * deviation).all()
+
+
+def test_iterations_that_run_out_are_said():
+    data = problem(machine(10, 0.1), wandering(300, 3), 1e-3, 1e-3)
+    assert not direct.solve(data, Options(shift_start_m=0.4, max_iterations=1)).converged
+
+
 @pytest.mark.parametrize("placements", [1, 3])
 def test_the_point_locus_is_the_algebraic_one_step_calibration(placements):
     data, tip, points = pivoting(200, placements, sigma_t=5e-3)

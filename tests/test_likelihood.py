@@ -340,6 +340,17 @@ def test_which_angles_are_unknown():
     np.testing.assert_allclose(model.precision, [[0, 0, 0, 100], [100, 0, 0, 0]])
 
 
+def test_where_both_joints_are_held_each_unknown_angle_is_counted_once():
+    held = np.array([[0, 1]] * 4 + [[0, -1], [-1, 1]])
+    label = np.array([[0.3, 0.4], [0.3, np.nan], [np.nan, 0.4], [np.nan, np.nan], [np.nan, np.nan], [np.nan, np.nan]])
+    n = len(held)
+    model = AngleModel.of(Problem(np.zeros((n, 3)), np.tile(np.eye(3), (n, 1, 1)), np.zeros(n, dtype=int), held, label))
+    by_sweep = np.array([(model.sweep >= 0) & (model.sweep_joint == joint) for joint in (0, 1)])
+    assert not (by_sweep & model.free).any()
+    np.testing.assert_array_equal(by_sweep | model.free, np.isnan(label.T))
+    assert (model.precision == 0).all()
+
+
 def test_the_start_of_the_angles():
     motion = some_labels(sweeps_deg((-50, 0, 170), TURN, (10, 70), TURN))
     truth = machine(4, 0.1, 0.02)

@@ -111,10 +111,12 @@ def test_quaternions_are_w_first_and_go_round(axis, angle):
         np.testing.assert_allclose(found, q, atol=1e-14)
 
 
-@given(st.integers(0, 10_000), st.sampled_from([1e-6, 0.1, 1.0]))
-def test_project_so3_is_the_nearest_rotation(seed, size):
+@given(st.integers(0, 10_000), st.sampled_from([1e-6, 0.1, 1.0]), st.booleans())
+def test_project_so3_is_the_nearest_rotation(seed, size, mirrored):
     rng = np.random.default_rng(seed)
     M = Rotation.random(random_state=seed).as_matrix() + size * rng.normal(size=(3, 3))
+    if mirrored:  # the nearest orthogonal matrix is then no rotation
+        M = M @ np.diag([1, 1, -1])
     R = se3.project_so3(M)
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-13)
     assert np.linalg.det(R) == pytest.approx(1, abs=1e-13)
