@@ -86,6 +86,7 @@ def _result(
     provenance: r.Provenance,
 ) -> r.CalibrationResult:
     ok = assessment.refusal is None
+    used = np.ones(len(recording), dtype=bool) if estimate.used is None else estimate.used
     torus, values = estimate.torus, assessment.singular_values
     return r.CalibrationResult(
         status="ok" if ok else "refused",
@@ -105,12 +106,12 @@ def _result(
         residuals=_residuals("overall", assessment, slice(None), assessment.chi2_per_dof),
         residuals_per_sweep=_residuals_per_sweep(recording, assessment),
         poses=len(recording),
-        used=len(recording),
-        outliers=r.Outliers(0, ()),
+        used=int(used.sum()),
+        outliers=r.Outliers(int((~used).sum()), tuple(int(i) for i in recording.pose_number[~used])),
         observability=r.Observability(
             values, float(values[0] / max(values[-1], 1e-300)) if values.size else None, assessment.unobservable
         ),
-        warnings=(*recording.warnings, *estimate.notes, *_notes(estimate, ok)),
+        warnings=(*recording.warnings, *estimate.notes, *assessment.notes, *_notes(problem, estimate, ok)),
         refusal=assessment.refusal,
         provenance=provenance,
         angles_rad=assessment.angles,
@@ -123,7 +124,7 @@ def _too_few(
     """The refusal of a recording with fewer poses than any solver needs."""
     nothing = Estimate(solver, center=np.zeros((len(recording.placements), 3)))
     refusal = Note("too_few_poses", f"{len(recording)} poses; at least {limits.min_poses} are needed")
-    blank = Assessment(None, np.zeros((1, 3)), None, 0.0, None, 1.0, np.zeros(0), (refusal.message,), refusal)
+    blank = Assessment(None, np.zeros((1, 3)), None, 0.0, None, 1.0, np.zeros(0), (refusal.message,), (), refusal)
     return _result(recording, to_problem(recording), nothing, blank, options, provenance)
 
 
@@ -172,27 +173,31 @@ def _residuals(label: str, assessment: Assessment, poses: Any, chi2_per_dof: flo
         _rms(position),
         None if rotation is None else _rms(rotation[poses]),
         chi2_per_dof,
-        len(position),
+        int(np.isfinite(position[:, 0]).sum()),
     )
 
 
 def _residuals_per_sweep(recording: Recording, assessment: Assessment) -> tuple[r.Residuals, ...]:
     rows = []
     for sweep in recording.sweeps if len(assessment.position_residual) == len(recording) else ():
-        square = (assessment.position_residual[sweep.poses] ** 2).sum() / assessment.sigma_t**2
-        dof = assessment.position_residual.shape[1] * len(sweep.poses)
+        poses = sweep.poses[np.isfinite(assessment.position_residual[sweep.poses, 0])]
+        if not poses.size:
+            continue
+        square = (assessment.position_residual[poses] ** 2).sum() / assessment.sigma_t**2
+        dof = assessment.position_residual.shape[1] * len(poses)
         if assessment.rotation_residual is not None and assessment.sigma_r:
-            square += (assessment.rotation_residual[sweep.poses] ** 2).sum() / assessment.sigma_r**2
-            dof += 2 * len(sweep.poses)
-        rows.append(_residuals(sweep.label, assessment, sweep.poses, float(square / max(dof, 1))))
+            square += (assessment.rotation_residual[poses] ** 2).sum() / assessment.sigma_r**2
+            dof += 2 * len(poses)
+        rows.append(_residuals(sweep.label, assessment, poses, float(square / max(dof, 1))))
     return tuple(rows)
 
 
 def _rms(vectors: Array) -> float:
-    return float(np.sqrt((vectors**2).sum(axis=1).mean()))
+    """Root mean square length over the used poses, whose rows are finite."""
+    return float(np.sqrt(np.nan_to_num((vectors**2).sum(axis=1)[np.isfinite(vectors[:, 0])].mean())))
 
 
-def _notes(estimate: Estimate, ok: bool) -> list[Note]:
+def _notes(problem: Problem, estimate: Estimate, ok: bool) -> list[Note]:
     notes = []
     if not estimate.converged:
         notes.append(Note("not_converged", f"the solver stopped after {estimate.iterations} steps without converging"))
@@ -203,6 +208,12 @@ def _notes(estimate: Estimate, ok: bool) -> list[Note]:
     torus = estimate.torus
     if ok and torus and not torus.referenced.all():
         notes.append(Note("angular_zero_convention", "no label gives alpha = 0: it is taken at the first pose"))
+    if ok and torus and torus.orbital_referenced and np.ptp(problem.label[np.isfinite(problem.label[:, 1]), 1]) < 1e-6:
+        notes.append(
+            Note(
+                "orbital_sense_convention", "one orbital angle is labelled: which way beta counts is taken from R >= 0"
+            )
+        )
     if ok and torus and not torus.orbital_referenced:
         notes.append(Note("orbital_zero_convention", "no label gives beta = 0: it is taken at the first pose"))
     return notes

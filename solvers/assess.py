@@ -15,6 +15,7 @@ from solvers.covariance import (
     reported_jacobian,
     scaled_spectrum,
 )
+from solvers.diagnose import base_moved_at
 from solvers.elimination import normal_equations
 from solvers.estimate import Covariance, Estimate, Note
 from solvers.likelihood import AngleModel, linearise
@@ -39,6 +40,10 @@ class Limits:
     """Largest one-sigma of the offset in any direction."""
     min_relative_information: float = 1e-9
     """Least eigenvalue of the scaled information that counts as information."""
+    max_rejected_share: float = 0.7
+    """Largest share of poses that may be rejected."""
+    max_moved_share: float = 0.3
+    """Largest share of poses that may belong to another place of the base."""
     min_spread_sigmas: float = 4.0
     """A joint moves if its angle spreads by more than so many standard deviations of one pose."""
 
@@ -60,65 +65,96 @@ class Assessment:
     """Of the information scaled to a unit diagonal, largest first; empty where there is no chain."""
     unobservable: tuple[str, ...]
     """In words."""
+    notes: tuple[Note, ...]
+    """What the residuals and the rejected poses show."""
     refusal: Note | None
 
 
 def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> Assessment:
-    """Judge an estimate of ``problem``."""
-    if estimate.torus is None:
-        return _assess_positions(problem, estimate, limits)
+    """Judge an estimate of ``problem`` by the poses that it used; the rows of the others are NaN."""
+    used = np.ones(len(problem), dtype=bool) if estimate.used is None else estimate.used
+    part = problem if used.all() else problem.select(used)
+    if estimate.torus is None or len(part) < limits.min_poses:
+        return _assess_positions(part, estimate, used, limits)
     torus = estimate.torus
     if estimate.angles is None:
-        angles, at = kinematic.fit_angles(problem, torus)
+        angles, at = kinematic.fit_angles(part, torus)
         sigma = (at.sigma[0], at.sigma[1])
     else:
-        angles, sigma = estimate.angles.T, (estimate.sigma_t or 0.0, estimate.sigma_r or 0.0)
-        at = normal_equations(torus, angles, problem, AngleModel.of(problem), sigma)
-    residual = linearise(torus, angles, problem).residual
+        angles, sigma = estimate.angles.T[:, used], (estimate.sigma_t or 0.0, estimate.sigma_r or 0.0)
+        at = normal_equations(torus, angles, part, AngleModel.of(part), sigma)
+    residual = linearise(torus, angles, part).residual
     active = active_unknowns(torus, fix_non_orthogonality=torus.non_orthogonality == 0.0)
     values, vectors, scale = scaled_spectrum(at.H, active)
     covariance = covariance_of(torus, marginal_covariance(at.H, active))
     still = _joints_at_rest(torus, angles, sigma, limits)
     null = vectors[:, values < limits.min_relative_information * values[-1]] / scale[:, None]
     unobservable = (*still, *_in_words(torus, active, null))
-    chi2 = sum(((residual[k : k + 3] / s) ** 2).sum() for k, s in zip((0, 3), sigma, strict=True))
-    dof = max(sum(at.redundancy) - active.sum(), 1.0)
+    chi2_per_dof = at.cost / max(sum(at.redundancy) - active.sum(), 1.0)
+    moved_at = base_moved_at(problem, estimate)
     return Assessment(
-        angles=angles.T,
-        position_residual=residual[:3].T,
-        rotation_residual=residual[3:].T,
+        angles=_spread(angles.T, used),
+        position_residual=_spread(residual[:3].T, used),
+        rotation_residual=_spread(residual[3:].T, used),
         sigma_t=sigma[0],
         sigma_r=sigma[1],
-        chi2_per_dof=float(chi2 / dof),
+        chi2_per_dof=float(chi2_per_dof),
         singular_values=values[::-1],
         unobservable=unobservable,
-        refusal=_refusal(problem, sigma, chi2 / dof, covariance, unobservable, len(still), limits),
+        notes=() if moved_at is None else (_base_moved(moved_at, used),),
+        refusal=_refusal(part, sigma, chi2_per_dof, covariance, unobservable, len(still), limits)
+        or _too_many_rejected(used, moved_at, limits),
     )
 
 
-def _assess_positions(problem: Problem, estimate: Estimate, limits: Limits) -> Assessment:
+def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limits: Limits) -> Assessment:
     """The verdict on an estimate without a chain, from its own residuals."""
-    residual = estimate.residual if estimate.residual is not None else np.zeros((len(problem), 1))
+    residual = estimate.residual if estimate.residual is not None else np.zeros((len(part), 1))
     sigma = estimate.sigma_t or float(np.sqrt((residual**2).mean()))
     refusal = None
-    if len(problem) < limits.min_poses:
-        refusal = _too_few(problem, limits)
+    if len(part) < limits.min_poses:
+        refusal = Note("too_few_poses", f"{len(part)} usable poses; at least {limits.min_poses} are needed")
     elif sigma > limits.max_sigma_t_m:
         refusal = _misfit(sigma, 0.0)
     elif estimate.covariance and estimate.covariance.block("offset").size:
         refusal = _uncertain(estimate.covariance, limits)
-    given = problem.sigma_t
+    given = part.sigma_t
     return Assessment(
         angles=None,
-        position_residual=residual,
+        position_residual=_spread(residual, used),
         rotation_residual=None,
         sigma_t=sigma,
         sigma_r=None,
         chi2_per_dof=float((residual**2).mean() / given**2) if given else 1.0,
         singular_values=np.zeros(0),
         unobservable=estimate.unobservable,
+        notes=(),
         refusal=refusal,
     )
+
+
+def _spread(values: Array, used: np.ndarray) -> Array:
+    """Rows of the used poses among all, NaN elsewhere."""
+    full = np.full((len(used), values.shape[1]), np.nan)
+    full[used] = values
+    return full
+
+
+def _base_moved(pose: int, used: np.ndarray) -> Note:
+    return Note(
+        "base_moved",
+        f"the base seems to have been moved at pose {pose}: the {(~used).sum()} poses that do not fit agree with the "
+        "same machine standing elsewhere; give them a 'placement' of their own",
+    )
+
+
+def _too_many_rejected(used: np.ndarray, moved_at: int | None, limits: Limits) -> Note | None:
+    share = 1 - used.mean()
+    if moved_at is not None and share > limits.max_moved_share:
+        return Note("misfit", _base_moved(moved_at, used).message)
+    if share > limits.max_rejected_share:
+        return Note("too_many_outliers", f"{share:.0%} of the poses agree with no C-arm that explains the others")
+    return None
 
 
 def _joints_at_rest(torus: Torus, angles: Array, sigma: tuple[float, float], limits: Limits) -> tuple[str, ...]:
@@ -165,8 +201,6 @@ def _refusal(
     still: int,
     limits: Limits,
 ) -> Note | None:
-    if len(problem) < limits.min_poses:
-        return _too_few(problem, limits)
     given = problem.sigma_t is not None and problem.sigma_r is not None
     if sigma[0] > limits.max_sigma_t_m or sigma[1] > limits.max_sigma_r_rad:
         return _misfit(*sigma)
@@ -186,10 +220,6 @@ def _uncertain(covariance: Covariance, limits: Limits) -> Note | None:
             f"the arcs are too short for the noise: the offset is uncertain by {worst * 1e3:.0f} mm (one sigma)",
         )
     return None
-
-
-def _too_few(problem: Problem, limits: Limits) -> Note:
-    return Note("too_few_poses", f"{len(problem)} poses; at least {limits.min_poses} are needed")
 
 
 def _misfit(sigma_t: float, sigma_r: float) -> Note:

@@ -28,12 +28,19 @@ class Options:
     """Take the axes as perpendicular (the paper's model) instead of estimating epsilon."""
     starts: int = 4
     """How many of the smallest eigenvectors are refined; the best is kept."""
+    reject_outliers: bool = True
+    """Leave out the poses that do not agree with one C-arm."""
+    seed: int = 0
+    """Seed of the samples from which the agreeing poses are found."""
 
 
 def solve(problem: Problem, options: Options = Options()) -> Estimate:
     """The chain from poses alone. Needs orientations; raises ValueError without them."""
-    axes = axes_of(problem, options)
-    return Estimate.of_torus("closed_form", axes.torus(problem))
+    from solvers import robust
+
+    used = robust.inliers(problem, options.seed) if options.reject_outliers else np.ones(len(problem), dtype=bool)
+    agreeing = problem if used.all() else problem.select(used)
+    return Estimate.of_torus("closed_form", axes_of(agreeing, options).torus(agreeing), used=used)
 
 
 def axes_of(problem: Problem, options: Options = Options()) -> Axes:
@@ -44,7 +51,7 @@ def axes_of(problem: Problem, options: Options = Options()) -> Axes:
     if P > 1:
         n, s = _consistent_signs(problem, n, a, s)
         s = 0.0 if options.fix_non_orthogonality else s
-        n, a, s = (x[0] for x in _refine(M, n[None], a[None], np.atleast_1d(s), options.fix_non_orthogonality))
+        n, a, s = (x[0] for x in refine_axes(M, n[None], a[None], np.atleast_1d(s), options.fix_non_orthogonality))
     z = _pivot_directions(R, n[placement], a)
     center, radius, offset = _locus(problem, z, shared_radius=True)
     return Axes(center, n, float(radius[0]), float(np.arcsin(np.clip(s, -1, 1))), offset, a)
@@ -64,8 +71,8 @@ def _directions(M: Array, options: Options) -> tuple[Array, Array, float]:
     W = np.swapaxes(vectors[:, :, : options.starts], 1, 2)[..., :9].reshape(P * options.starts, 3, 3)
     a = np.linalg.svd(W)[2][:, 0, :]
     n = np.stack([_best_normal(M, p, a) for p in range(P)], axis=1)
-    n, a, s = _refine(M, n, a, np.zeros(len(a)), options.fix_non_orthogonality)
-    best = np.argmin(_objective(M, n, a, s))
+    n, a, s = refine_axes(M, n, a, np.zeros(len(a)), options.fix_non_orthogonality)
+    best = np.argmin(axes_energy(M, n, a, s))
     return n[best], a[best], float(s[best])
 
 
@@ -81,31 +88,33 @@ def _stacked(n: Array, a: Array, s: Array) -> Array:
     return np.concatenate([outer.reshape(*n.shape[:2], 9), np.broadcast_to(s[:, None, None], (*n.shape[:2], 1))], -1)
 
 
-def _objective(M: Array, n: Array, a: Array, s: Array) -> Array:
+def axes_energy(M: Array, n: Array, a: Array, s: Array) -> Array:
+    """sum (nT R_i a + s)^2 (B,) from the moments M (P, 10, 10), or (B, P, 10, 10) of B sets of poses."""
     k = _stacked(n, a, s)
-    return np.einsum("bpi,pij,bpj->b", k, M, k)
+    return (k * (M @ k[..., None])[..., 0]).sum(axis=(1, 2))
 
 
-def _refine(M: Array, n: Array, a: Array, s: Array, fixed: bool, steps: int = 12) -> tuple[Array, Array, Array]:
-    """Damped Gauss-Newton on sum (nT R_i a + s)^2 over unit n (B, P, 3), unit a (B, 3), s (B,).
+def refine_axes(M: Array, n: Array, a: Array, s: Array, fixed: bool, steps: int = 12) -> tuple[Array, Array, Array]:
+    """Damped Gauss-Newton on `axes_energy` over unit n (B, P, 3), unit a (B, 3) and s (B,).
 
-    Its cost does not depend on the number of poses; B starts advance together.
+    Its cost does not depend on the number of poses; B starts, or B sets of poses, advance together.
     """
     B, P = n.shape[:2]
     damping = np.full(B, 1e-3)
-    cost = _objective(M, n, a, s)
+    cost = axes_energy(M, n, a, s)
     for _ in range(steps):
         J, Bn, Ba = _jacobian(n, a, fixed)
         k = _stacked(n, a, s)
-        H = np.einsum("bpix,pij,bpjy->bxy", J, M, J)
-        g = np.einsum("bpix,pij,bpj->bx", J, M, k)
-        scale = np.einsum("bxx->bx", H) + 1e-12 * np.trace(M.sum(axis=0))
+        MJ = M @ J
+        H = (np.swapaxes(J, 2, 3) @ MJ).sum(axis=1)
+        g = np.einsum("bpix,bpi->bx", MJ, k)
+        scale = np.einsum("bxx->bx", H) + 1e-12 * M[..., 9, 9].sum(axis=-1)[..., None]
         step = -np.linalg.solve(H + damping[:, None, None] * (scale[:, :, None] * np.eye(len(H[0]))), g[..., None])
         dn, da = step[:, : 2 * P, 0].reshape(B, P, 2), step[:, 2 * P : 2 * P + 2, 0]
         n_new = _unit(n + np.einsum("bpij,bpj->bpi", Bn, dn))
         a_new = _unit(a + np.einsum("bij,bj->bi", Ba, da))
         s_new = s if fixed else s + step[:, -1, 0]
-        cost_new = _objective(M, n_new, a_new, s_new)
+        cost_new = axes_energy(M, n_new, a_new, s_new)
         better = cost_new <= cost
         n, a = np.where(better[:, None, None], n_new, n), np.where(better[:, None], a_new, a)
         s, cost = np.where(better, s_new, s), np.where(better, cost_new, cost)

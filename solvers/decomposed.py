@@ -24,6 +24,9 @@ from solvers.ransac import best_circles, consensus, fit_circles
 from solvers.se3 import Array
 from solvers.torus import Axes
 
+STREAM = 0xDEC0
+"""Keeps the draws apart from those of a simulation with the same seed."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -63,21 +66,28 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
 
     Raises ValueError where a placement has no sweep of at least three poses about one of the axes.
     """
-    axes = axes_of(problem, options)
-    return Estimate.of_torus("decomposed", axes.torus(problem))
+    axes, used = _fit(problem, options)
+    return Estimate.of_torus("decomposed", axes.torus(problem), used=used)
 
 
 def axes_of(problem: Problem, options: Options = Options()) -> Axes:
     """The two axes, the offset and the radius, before any zero is given to the angles."""
+    return _fit(problem, options)[0]
+
+
+def _fit(problem: Problem, options: Options) -> tuple[Axes, np.ndarray]:
+    """The axes and the mask (N,) of the poses that they rest on."""
     if not has_sweeps(problem):
         raise ValueError("decomposed needs, in every placement, an angular and an orbital sweep of three poses or more")
-    rng = np.random.default_rng(options.seed)
-    parts, sizes = [], []
+    rng = np.random.default_rng([options.seed, STREAM])
+    parts, sizes, used = [], [], np.zeros(len(problem), dtype=bool)
     for p in range(problem.placements):
         sweeps = _sweeps_of(problem, p)
         sizes.append(sum(len(i) for i in sweeps.members))
-        parts.append(_one_placement(problem, sweeps, options, rng))
-    return _merged(parts, np.array(sizes))
+        part, members = _one_placement(problem, sweeps, options, rng)
+        parts.append(part)
+        used[members] = True
+    return _merged(parts, np.array(sizes)), used
 
 
 def _sweeps_of(problem: Problem, placement: int) -> _Sweeps:
@@ -90,19 +100,26 @@ def _sweeps_of(problem: Problem, placement: int) -> _Sweeps:
     return _Sweeps(members, np.array(held))
 
 
-def _one_placement(problem: Problem, sweeps: _Sweeps, options: Options, rng: np.random.Generator) -> Axes:
+def _one_placement(
+    problem: Problem, sweeps: _Sweeps, options: Options, rng: np.random.Generator
+) -> tuple[Axes, np.ndarray]:
     p = problem.p_world_sensor
     if options.iterations:
         kept = [i[best_circles(p[i], rng)] for i in sweeps.members]
         sweeps = _consensus(problem, replace(sweeps, members=kept), options, rng)
     circles = [fit_circles(p[i]) for i in sweeps.members]
     center, normal, _ = (np.stack(x) for x in zip(*circles, strict=True))
-    orientation = np.stack([problem.rotations[i[len(i) // 2]] for i in sweeps.members])
+    orientation = _mean_orientations(problem, sweeps)
     weight = np.array([float(len(i)) for i in sweeps.members])
     c, n, a, R, epsilon = _compose(center, normal, orientation, weight, sweeps.held, options.fix_non_orthogonality)
     poses = np.concatenate(sweeps.members)
     t = _average_offset(problem.rotations[poses], p[poses], c, n, a, R)
-    return Axes(c[None], n[None], float(R), float(epsilon), t, a)
+    return Axes(c[None], n[None], float(R), float(epsilon), t, a), poses
+
+
+def _mean_orientations(problem: Problem, sweeps: _Sweeps) -> Array:
+    """(S, 3, 3) the entrywise mean of the orientations of each sweep; it maps the moving axis to itself."""
+    return np.stack([problem.rotations[i].mean(axis=0) for i in sweeps.members])
 
 
 def _compose(
@@ -110,8 +127,8 @@ def _compose(
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Steps 1 to 3 from the circles of S sweeps, for any number of hypotheses (..., S, 3) at once.
 
-    ``orientation`` (S, 3, 3) of one pose a sweep tells the direction of each normal. Returns c, n, a
-    (sensor frame), R and epsilon.
+    ``orientation`` (S, 3, 3), the mean of each sweep, tells the direction of each normal. Returns c, n,
+    a (sensor frame), R and epsilon.
     """
     angular, orbital = held == ORBITAL, held == ANGULAR
     n = _common_direction(normal[..., angular, :], weight[angular])
@@ -157,10 +174,11 @@ def _consensus(problem: Problem, sweeps: _Sweeps, options: Options, rng: np.rand
     sample = np.stack([i[rng.integers(len(i), size=shape)] for i in sweeps.members], axis=1)
     p = problem.p_world_sensor
     center, normal, radius = fit_circles(p[sample])
-    orientation = np.stack([problem.rotations[i[len(i) // 2]] for i in sweeps.members])
+    orientation = _mean_orientations(problem, sweeps)
     c, n, a, R, _ = _compose(center, normal, orientation, np.ones(len(sweeps.held)), sweeps.held, fixed=True)
     orbital = sweeps.held == ANGULAR
     y = np.einsum("sij,hj->hsi", orientation[orbital], a)
+    y /= np.linalg.norm(y, axis=-1, keepdims=True)
     t_y = np.einsum("hsi,hsi->hs", center[:, orbital] - c[:, None], y).mean(axis=1)
     b = radius[:, orbital].mean(axis=1)
     poses = np.concatenate(sweeps.members)

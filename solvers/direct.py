@@ -12,7 +12,7 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from solvers import closed_form, decomposed, loci
+from solvers import closed_form, decomposed, loci, robust
 from solvers.estimate import Covariance, Estimate
 from solvers.loci import Locus, TwoAxisLocus
 from solvers.problem import Problem
@@ -43,6 +43,10 @@ class Options:
     """Move the start along the orbital axis by so much, to see what the gauge is worth."""
     lever_m: float | None = None
     """Length that turns the angle between the axes into a distance; None: that of the starting offset."""
+    reject_outliers: bool = True
+    """Leave out the poses that do not agree with one C-arm (circle only)."""
+    seed: int = 0
+    """Seed of the samples from which the agreeing poses are found."""
     max_iterations: int = 100
     """Steps after which the solver gives up and says so."""
 
@@ -53,9 +57,13 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
     Raises ValueError for an unknown locus, gauge or start.
     """
     chosen = _locus(options)
+    used = np.ones(len(problem), dtype=bool)
+    if options.reject_outliers and isinstance(chosen, TwoAxisLocus):
+        used = robust.inliers(problem, options.seed)
+        problem = problem if used.all() else problem.select(used)
     theta = _start(problem, chosen, options)
     lever = options.lever_m or max(float(np.linalg.norm(theta[0, chosen.own :][-7:-4])), 0.1)
-    return minimise(problem, chosen, theta, lever, options.max_iterations)
+    return replace(minimise(problem, chosen, theta, lever, options.max_iterations), used=used)
 
 
 def minimise(problem: Problem, chosen: Locus, theta: Array, lever: float, max_iterations: int) -> Estimate:

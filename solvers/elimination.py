@@ -41,6 +41,8 @@ class Reduced:
     reading_cost: float
     """The readings' part of the sum of squares, scaled."""
     sigma: tuple[float, ...]
+    distance2: Array
+    """(N,) squared Mahalanobis distance of each pose's residual, at the point of linearisation."""
     _position: tuple[Array, float]
     """Gradient and constant that complete `position_information` to a quadratic form."""
     _constant: float
@@ -95,16 +97,23 @@ def normal_equations(
     problem: Problem,
     model: AngleModel,
     sigma: tuple[float, ...],
-    weights: Array | None = None,
+    used: np.ndarray | None = None,
 ) -> Reduced:
     """Linearise at ``angles`` (2, N) and eliminate them. ``sigma`` is the noise of position (m) and, where
-    there are orientations, of rotation (rad); ``weights`` (N,) scales the information of each pose."""
+    there are orientations, of rotation (rad). Poses that are not ``used`` (N,) have their angles fitted,
+    but no say in anything else."""
     total = _Sums(problem.placements, len(model.sweep_placement), len(problem))
     for here in _blocks(len(problem)):
         part = problem.select(here)
         line = linearise(torus, angles[:, here], part)
         total.add(
-            line, part, model.select(here), angles[:, here], sigma, None if weights is None else weights[here], here
+            line,
+            part,
+            model.select(here),
+            angles[:, here],
+            sigma,
+            None if used is None or used[here].all() else used[here],
+            here,
         )
     return total.reduced(model, problem, sigma)
 
@@ -122,7 +131,9 @@ class _Sums:
         self.sweep = np.zeros((sweeps, WIDTH))
         self.sweep_position = np.zeros((sweeps, WIDTH))
         self.response = np.empty((2, WIDTH, n))
+        self.distance2 = np.empty(n)
         self.squares = np.zeros(2)
+        self.poses = self.free = 0
         self.reading_cost = self.absorbed_position = self.absorbed_readings = 0.0
 
     def add(
@@ -132,11 +143,12 @@ class _Sums:
         model: AngleModel,
         angles: Array,
         sigma: tuple[float, ...],
-        weights: Array | None,
+        used: np.ndarray | None,
         here: slice,
     ) -> None:
         """Add a block of poses."""
-        B, A = _weighted(line, model, sigma, weights)
+        B, A = _weighted(line, model, sigma)
+        self.distance2[here] = (B[:, RESIDUAL] ** 2).sum(axis=0)
         error = model.reading_error(angles)
         C = np.stack([(A[:, j, None] * B).sum(axis=0) for j in (0, 1)])
         C[:, RESIDUAL] += model.precision * error
@@ -144,7 +156,11 @@ class _Sums:
         X = self.response[..., here]
         X[0] = G_inverse[0, 0] * C[0] + G_inverse[0, 1] * C[1]
         X[1] = G_inverse[1, 0] * C[0] + G_inverse[1, 1] * C[1]
+        if used is not None:
+            B, C, A, error = (x * used for x in (B, C, A, error))
         U = B[:3] - A[:3, 0, None] * X[0] - A[:3, 1, None] * X[1]
+        self.poses += len(part) if used is None else int(used.sum())
+        self.free += int((model.free if used is None else model.free * used).sum())
 
         for p, members in _members(part):
             self.moment[p] += _moment(B[..., members], B[..., members]) - _moment(C[..., members], X[..., members])
@@ -162,7 +178,8 @@ class _Sums:
         square = (B[:, RESIDUAL].reshape(len(sigma), -1) ** 2).sum(axis=1) * np.square(sigma)
         self.squares[: len(sigma)] += square
         self.absorbed_position += float(np.einsum("rin,ijn,rjn->", A[:3], G_inverse, A[:3], optimize=True))
-        self.absorbed_readings += float((model.precision * G_inverse[[0, 1], [0, 1]]).sum())
+        known = model.precision if used is None else model.precision * used
+        self.absorbed_readings += float((known * G_inverse[[0, 1], [0, 1]]).sum())
 
     def reduced(self, model: AngleModel, problem: Problem, sigma: tuple[float, ...]) -> Reduced:
         """Eliminate the held angles and put the placements together."""
@@ -176,13 +193,14 @@ class _Sums:
         H -= rho.T @ k
         M -= rho.T @ w + w.T @ rho - (rho.T * self.sweep_position[:, HELD]) @ rho
         absorbed = self.absorbed_position + float((self.sweep_position[:, HELD] / np.where(own > 0, own, 1.0)).sum())
-        rotation = model.free.sum() + len(own) - absorbed - self.absorbed_readings
+        rotation = self.free + (own > 0).sum() - absorbed - self.absorbed_readings
         H, M = 0.5 * (H + H.T), 0.5 * (M + M.T)
         return Reduced(
             H=H[:-1, :-1],
             g=H[:-1, -1],
             position_information=M[:-1, :-1],
-            redundancy=(3 * len(problem) - absorbed, float(3 * len(problem) - rotation)),
+            redundancy=(3 * self.poses - absorbed, float(3 * self.poses - rotation)),
+            distance2=self.distance2,
             squares=(float(self.squares[0]), float(self.squares[1])),
             reading_cost=self.reading_cost,
             sigma=sigma,
@@ -202,14 +220,11 @@ def columns_of(placements: int) -> np.ndarray:
     return np.stack([np.concatenate([6 * p + np.arange(6), shared]) for p in range(placements)])
 
 
-def _weighted(
-    line: Linearisation, model: AngleModel, sigma: tuple[float, ...], weights: Array | None
-) -> tuple[Array, Array]:
+def _weighted(line: Linearisation, model: AngleModel, sigma: tuple[float, ...]) -> tuple[Array, Array]:
     """B (rows, 16, n) and A (rows, 2, n), scaled by the noise; A is zero where an angle is not free."""
-    row = np.repeat(1 / np.asarray(sigma), 3)[:, None]
-    scale = row if weights is None else row * np.sqrt(weights)
+    scale = np.repeat(1 / np.asarray(sigma), 3)[:, None]
     n = line.residual.shape[1]
-    B = np.empty((len(row), WIDTH, n))
+    B = np.empty((len(scale), WIDTH, n))
     np.multiply(line.by_local, scale[:, None], out=B[:, :LOCAL])
     A = line.by_angle * scale[:, None]
     held = model.sweep >= 0

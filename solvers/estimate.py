@@ -61,8 +61,8 @@ class Estimate:
     """Position noise an axis, m, as estimated or given."""
     sigma_r: float | None = None
     """Orientation noise an axis, rad, as estimated or given."""
-    weights: Array | None = None
-    """(N,) weight from 0 to 1 that each pose ended with; None: all 1."""
+    used: np.ndarray | None = None
+    """(N,) which poses had a say; None: all."""
     residual: Array | None = None
     """(N, K) what the solver's own model leaves of each pose, m, where there is no complete chain."""
     covariance: Covariance | None = None

@@ -1,15 +1,17 @@
 """Maximum likelihood of the full two-axis chain with every joint angle unknown. The default solver.
 
-Gauss-Newton on the manifold, damped where a step does not descend, from the closed form. Both
-noises are estimated as variance components: the squared residuals of each kind over what the fitted
-unknowns leave of them.
+Gauss-Newton on the manifold, damped where a step does not descend. It starts from the closed form on
+the poses that agree with one C-arm, settles on some of the poses first, and ends on all. Both noises
+are estimated as variance components: the squared residuals of each kind over what the fitted unknowns
+leave of them. A pose farther off than `OUTLIER_PROBABILITY` allows is given no weight, and may come back.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtri
 
-from solvers import closed_form
+from solvers import closed_form, robust
 from solvers.covariance import active_unknowns, covariance_of, marginal_covariance
 from solvers.elimination import Reduced, normal_equations
 from solvers.estimate import Estimate, Note
@@ -20,6 +22,10 @@ from solvers.torus import Torus
 
 SIGMA_FLOOR = 1e-7
 """Least noise assumed, m and rad: well below any tracker's resolution, far above rounding."""
+OUTLIER_PROBABILITY = 1e-5
+"""Share of sound poses that the noise alone sends beyond the bound: 5.3 to 5.9 sigma, by degrees of freedom."""
+COARSE = 1000
+"""Poses on which the fit settles before all take part."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,10 @@ class Options:
     determine it to `max_non_orthogonality_sigma_rad`, else take 0 and say so."""
     max_non_orthogonality_sigma_rad: float = float(np.radians(0.5))
     """One-sigma of epsilon up to which it is estimated; real machines have 0.2 to 1 degree of it."""
+    reject_outliers: bool = True
+    """Give no weight to poses that the noise does not explain."""
+    seed: int = 0
+    """Seed of the samples from which the agreeing poses are found."""
     max_iterations: int = 40
     """Steps after which the solver gives up and says so."""
     tolerance: float = 1e-3
@@ -41,35 +51,57 @@ class Options:
 
 def solve(problem: Problem, options: Options = Options()) -> Estimate:
     """The most likely chain with its angles, noise and covariance. Needs orientations."""
-    fixed = bool(options.fix_non_orthogonality)
-    estimate = refine(problem, _start(problem, fixed), options, fixed)
-    if options.fix_non_orthogonality is None:
-        sigma = _sigma_of_epsilon(estimate)
-        if sigma > options.max_non_orthogonality_sigma_rad:
-            note = Note(
-                "non_orthogonality_fixed",
-                f"the motion determines the non-orthogonality of the axes only to {np.degrees(sigma):.1f} deg "
-                "(one sigma); it was taken as 0",
-            )
-            return replace(refine(problem, _start(problem, True), options, True), notes=(note,))
+    used = np.ones(len(problem), dtype=bool)
+    if options.reject_outliers:
+        used = robust.inliers(problem, options.seed)
+    estimate = _from_coarse(problem, used, options, bool(options.fix_non_orthogonality))
+    sigma = _sigma_of_epsilon(estimate)
+    if options.fix_non_orthogonality is None and sigma > options.max_non_orthogonality_sigma_rad:
+        note = Note(
+            "non_orthogonality_fixed",
+            f"the motion determines the non-orthogonality of the axes only to {np.degrees(sigma):.1f} deg "
+            "(one sigma); it was taken as 0",
+        )
+        return replace(_from_coarse(problem, used, options, True), notes=(note,))
     return estimate
 
 
-def _start(problem: Problem, fixed: bool) -> Torus:
-    return closed_form.axes_of(problem, closed_form.Options(fixed)).torus(problem)
+def _from_coarse(problem: Problem, used: np.ndarray, options: Options, fix_non_orthogonality: bool) -> Estimate:
+    """The fit to all poses, started from the fit to some where there are many."""
+    agreeing = np.flatnonzero(used)
+    some = problem.select(agreeing[:: max(1, len(agreeing) // COARSE)])
+    axes = closed_form.axes_of(some, closed_form.Options(fix_non_orthogonality, reject_outliers=False))
+    torus, sigma = axes.torus(problem.select(agreeing)), None
+    if len(problem) > 2 * COARSE and some.placements == problem.placements:
+        coarse = refine(some, torus, replace(options, reject_outliers=False), fix_non_orthogonality)
+        if coarse.torus and coarse.sigma_t and coarse.sigma_r:
+            torus, sigma = coarse.torus, (coarse.sigma_t, coarse.sigma_r)
+    return refine(problem, torus, options, fix_non_orthogonality, used, sigma)
 
 
 def _sigma_of_epsilon(estimate: Estimate) -> float:
     return float(estimate.covariance.sigma("axis_non_orthogonality")[0]) if estimate.covariance else 0.0
 
 
-def refine(problem: Problem, torus: Torus, options: Options, fix_non_orthogonality: bool) -> Estimate:
-    """Maximum likelihood from a given start, whose zeros and senses of the angles are kept."""
+def refine(
+    problem: Problem,
+    torus: Torus,
+    options: Options,
+    fix_non_orthogonality: bool,
+    used: np.ndarray | None = None,
+    sigma: tuple[float, float] | None = None,
+) -> Estimate:
+    """Maximum likelihood from a given start, whose zeros and senses of the angles are kept.
+
+    ``used`` (N,) are the poses believed at the start, ``sigma`` the noise (m, rad) to start with.
+    """
     model = AngleModel.of(problem)
     active = active_unknowns(torus, fix_non_orthogonality)
-    angles = model.start(torus, problem)
-    sigma = first_sigma(problem, torus, angles)
-    at = normal_equations(torus, angles, problem, model, sigma)
+    used = np.ones(len(problem), dtype=bool) if used is None else used
+    bound = chdtri(6 - model.free.sum(axis=0), OUTLIER_PROBABILITY) if options.reject_outliers else np.inf
+    angles = model.start(torus, problem, used)
+    sigma = sigma or first_sigma(problem, torus, angles, used)
+    at = normal_equations(torus, angles, problem, model, sigma, used)
     damping, converged, iteration = 0.0, False, 0
     while not converged and iteration < options.max_iterations:
         iteration += 1
@@ -77,13 +109,16 @@ def refine(problem: Problem, torus: Torus, options: Options, fix_non_orthogonali
         step = _step(at, active, damping)
         new_sigma = next_sigma(problem, at, C, step)
         trial, trial_angles = retract(torus, step), angles + at.angle_step(step)
-        there = normal_equations(trial, trial_angles, problem, model, new_sigma)
+        there = normal_equations(trial, trial_angles, problem, model, new_sigma, used)
         if there.cost > at.cost_at(new_sigma) * (1 + 1e-6) + 1e-6:
             damping = max(10 * damping, 1e-6)
             continue
         settled = np.allclose(new_sigma, sigma, rtol=options.sigma_tolerance)
-        converged = settled and damping == 0 and step @ at.H @ step < options.tolerance**2
-        torus, angles, sigma, at = trial, trial_angles, new_sigma, there
+        believed = there.distance2 <= bound if settled or iteration > 2 else used
+        changed = bool((believed != used).any())
+        converged = settled and not changed and damping == 0 and step @ at.H @ step < options.tolerance**2
+        torus, angles, sigma, used = trial, trial_angles, new_sigma, believed
+        at = normal_equations(torus, angles, problem, model, sigma, used) if changed else there
         damping = damping * 0.1 if damping > 1e-8 else 0.0
     return Estimate.of_torus(
         "kinematic",
@@ -91,6 +126,7 @@ def refine(problem: Problem, torus: Torus, options: Options, fix_non_orthogonali
         angles=angles.T,
         sigma_t=sigma[0],
         sigma_r=sigma[1],
+        used=used,
         covariance=covariance_of(torus, marginal_covariance(at.H, active)),
         iterations=iteration,
         converged=converged,
@@ -111,9 +147,10 @@ def fit_angles(problem: Problem, torus: Torus, iterations: int = 4) -> tuple[Arr
     return angles, at
 
 
-def first_sigma(problem: Problem, torus: Torus, angles: Array) -> tuple[float, float]:
-    """A first guess of both noises from the residuals of at most about a thousand poses."""
-    some = slice(None, None, max(1, len(problem) // 1000))
+def first_sigma(problem: Problem, torus: Torus, angles: Array, used: np.ndarray | None = None) -> tuple[float, float]:
+    """A first guess of both noises from the residuals of at most about a thousand of the ``used`` poses."""
+    some = np.arange(len(problem)) if used is None else np.flatnonzero(used)
+    some = some[:: max(1, len(some) // COARSE)]
     residual = linearise(torus, angles[:, some], problem.select(some)).residual
     return _given_or(problem, np.sqrt((residual.reshape(2, -1) ** 2).mean(axis=1)))
 

@@ -77,14 +77,15 @@ class AngleModel:
             precision=self.precision[:, poses],
         )
 
-    def start(self, torus: Torus, problem: Problem) -> Array:
-        """alpha, beta (2, N): from the orientations, constant in a held sweep, the label where it is exact."""
+    def start(self, torus: Torus, problem: Problem, trusted: np.ndarray | None = None) -> Array:
+        """alpha, beta (2, N): from the orientations, constant in a held sweep (the mean over its ``trusted``
+        poses (N,)), the label where it is exact."""
         angles = torus.angles(problem).T
-        member = self.sweep >= 0
-        poses = np.flatnonzero(member)
+        poses = np.flatnonzero(self.sweep >= 0)
         joint, sweep = self.sweep_joint[poses], self.sweep[poses]
+        weight = 1.0 if trusted is None else np.where(trusted[poses], 1.0, 1e-9)
         total = np.zeros(len(self.sweep_placement), dtype=complex)
-        np.add.at(total, sweep, np.exp(1j * angles[joint, poses]))
+        np.add.at(total, sweep, weight * np.exp(1j * angles[joint, poses]))
         angles[joint, poses] = np.angle(total)[sweep]
         exact = np.isfinite(problem.label.T) & ~self.free
         return np.where(exact, problem.label.T, angles)

@@ -99,13 +99,13 @@ class Axes:
         """The chain with its zeros set by the labels where there are any, else by convention.
 
         Convention without labels: alpha = 0 and beta = 0 at the first pose of the placement, R >= 0,
-        and alpha positive at the pose that lies farthest from the first.
+        and the sine of alpha positive on the whole over the poses of the first placement.
         """
         axes = self if self.major_radius >= 0 else self.turned(1, -1)
         raw = axes._with_arbitrary_zeros()
         angles = raw.angles(problem)
         senses = [_sense(angles[:, j], problem.label[:, j], problem.placement if j == 0 else None) for j in (0, 1)]
-        flips = _flips(senses, angles[:, 0] - angles[0, 0])
+        flips = _flips(senses, angles[problem.placement == problem.placement[0], 0])
         axes = axes.turned(*flips)
         raw = axes._with_arbitrary_zeros()
         return _with_zeros(raw, raw.angles(problem), problem)
@@ -156,8 +156,7 @@ def _flips(senses: list[int], swivel: Array) -> tuple[int, int]:
     """Signs for n and a. One labelled joint fixes its own axis, and R >= 0 then fixes the other."""
     angular, orbital = senses
     if angular == orbital == 0:
-        turn = np.angle(np.exp(1j * swivel))
-        angular = 1 if turn[np.argmax(np.abs(turn))] >= 0 else -1
+        angular = 1 if np.sin(swivel - swivel[0]).sum() >= 0 else -1
     return angular or orbital, orbital or angular
 
 

@@ -1,7 +1,7 @@
 """The energy as published (Lee et al. 2020, Eq. 6), for comparison: distance to a circle and to its plane.
 
 Every point of the orbital axis moves on a circle about the same centre in the same plane, so the
-offset is undetermined along that axis: a solver stops wherever it started. `estimate` says so.
+offset is undetermined along that axis: where a solver comes to rest is left to the start and the noise.
 """
 
 from dataclasses import dataclass
@@ -77,7 +77,7 @@ class Locus:
         note = Note(
             "gauge_undetermined",
             f"gauge 'published' leaves the offset undetermined {words}: offset and major radius are those of the "
-            "point of that axis where the solver happened to stop; use gauge 'tangent'",
+            "point of that axis to which the start and the noise led; use gauge 'tangent'",
         )
         return Estimate(
             "direct",
