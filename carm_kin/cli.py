@@ -38,10 +38,13 @@ _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 
 
 class _Stderr(Console):
-    """Plain text on stderr, whoever reads it to the end or not."""
+    """Plain text on stderr, whoever reads it to the end or not; control characters are shown, not sent."""
 
     def __init__(self) -> None:
         super().__init__(stderr=True, highlight=False, markup=False, emoji=False)
+
+    def print(self, *objects: Any, **more: Any) -> None:
+        super().print(*(_printable(x) if isinstance(x, str) else x for x in objects), **more)
 
     def on_broken_pipe(self) -> None:
         _discard(sys.stderr)
@@ -70,9 +73,12 @@ def _ended(status: int, verdict: str, message: str) -> int:
     """Say on one line why the command ended, and give back its status."""
     console = _Stderr()
     console.print(f"{verdict}: ", style="bold red", end="")
-    line = "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
-    console.print(line, soft_wrap=True)
+    console.print(message.replace("\n", "\\n"), soft_wrap=True)
     return status
+
+
+def _printable(text: str) -> str:
+    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
 
 
 def _usage(error: Any) -> str:

