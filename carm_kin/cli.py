@@ -6,19 +6,17 @@
 
 import inspect as introspection
 import json
-import os
 import sys
 import warnings
-from io import TextIOWrapper
 from math import inf, radians
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 
 import carm_kin
 from carm_kin.errors import CarmKinError, InputError, RefusedError
+from carm_kin.terminal import Stderr, to_stdout, use_any_encoding
 
 app = typer.Typer(
     name="carm-kin",
@@ -37,25 +35,10 @@ _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 """What typer raises for bad usage; it has no public name in every version."""
 
 
-class _Stderr(Console):
-    """Plain text on stderr, whoever reads it to the end or not; control characters are shown, not sent."""
-
-    def __init__(self) -> None:
-        super().__init__(stderr=True, highlight=False, markup=False, emoji=False)
-
-    def print(self, *objects: Any, **more: Any) -> None:
-        super().print(*(_printable(x) if isinstance(x, str) else x for x in objects), **more)
-
-    def on_broken_pipe(self) -> None:
-        _discard(sys.stderr)
-
-
 def main() -> None:
     """Entry point of the console command."""
     warnings.filterwarnings("ignore", category=RuntimeWarning)
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace")
+    use_any_encoding()
     try:
         status = app(standalone_mode=False)
     except RefusedError as error:
@@ -71,14 +54,10 @@ def main() -> None:
 
 def _ended(status: int, verdict: str, message: str) -> int:
     """Say on one line why the command ended, and give back its status."""
-    console = _Stderr()
+    console = Stderr()
     console.print(f"{verdict}: ", style="bold red", end="")
     console.print(message.replace("\n", "\\n"), soft_wrap=True)
     return status
-
-
-def _printable(text: str) -> str:
-    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
 
 
 def _usage(error: Any) -> str:
@@ -87,22 +66,9 @@ def _usage(error: Any) -> str:
     return f"{' '.join(error.format_message().split()).rstrip('.')} (see {command} --help)"
 
 
-def _discard(stream: Any) -> None:
-    """Let what is still to be written to a closed pipe vanish without a complaint."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-
-
-def _to_stdout(text: str) -> None:
-    try:
-        sys.stdout.write(text)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        _discard(sys.stdout)
-
-
 def _show_version(wanted: bool) -> None:
     if wanted:
-        _to_stdout(f"carm-kin {carm_kin.__version__}\n")
+        to_stdout(f"carm-kin {carm_kin.__version__}\n")
         raise typer.Exit
 
 
@@ -125,7 +91,7 @@ def demo(
     """Simulate a clinical recording, calibrate it with every solver, compare with the truth."""
     from carm_kin.demo import run
 
-    run(out, seed, _Stderr())
+    run(out, seed, Stderr())
 
 
 @app.command(epilog="Example: carm-kin inspect mobile_nonisocentric")
@@ -141,9 +107,9 @@ def inspect(
 
     found = inspection.inspect(urdf, sensor_link, angular, orbital)
     if as_json:
-        _to_stdout(json.dumps(found.to_dict(), indent=2) + "\n")
+        to_stdout(json.dumps(found.to_dict(), indent=2) + "\n")
     else:
-        inspection.show(found, _Stderr())
+        inspection.show(found, Stderr())
 
 
 @app.command(epilog="Example: carm-kin simulate mobile_nonisocentric -o rec.csv --sigma-t-mm 0.5 --sigma-r-deg 0.1")
@@ -178,7 +144,7 @@ def simulate(
     )
     carm_kin.write_recording(recording, out)
     truth.to_json(truth_file)
-    console = _Stderr()
+    console = Stderr()
     for note in truth.warnings:
         console.print(f"warning ({note.code}): {note.message}", soft_wrap=True)
     console.print(f"{len(recording)} poses written to {out}, the truth to {truth_file}", soft_wrap=True)
@@ -220,10 +186,10 @@ def calibrate(
         **_options(option or []),
     )
     if as_json == "-":
-        _to_stdout(result.to_json())
+        to_stdout(result.to_json())
     elif as_json is not None:
         result.to_json(as_json)
-    summary.show(result, _Stderr())
+    summary.show(result, Stderr())
     if result.refusal:
         raise RefusedError(result.refusal.code, result.refusal.message)
 
