@@ -59,11 +59,11 @@ def test_exact_data_give_the_exact_answer(solver, machine, paper):
     np.testing.assert_allclose(result.offset_sensor_pivot_m, truth.offset_sensor_pivot_m, rtol=0, atol=EXACT_M)
     assert result.major_radius_m == pytest.approx(truth.major_radius_m, abs=EXACT_M)
     assert result.minor_radius_m == pytest.approx(truth.minor_radius_m, abs=EXACT_M)
-    assert result.axis_non_orthogonality_rad == pytest.approx(truth.axis_non_orthogonality_rad, abs=1e-9)
-    np.testing.assert_allclose(result.orbital_axis_sensor, truth.orbital_axis_sensor, rtol=0, atol=1e-9)
+    assert result.axis_non_orthogonality_rad == pytest.approx(truth.axis_non_orthogonality_rad, abs=1e-8)
+    np.testing.assert_allclose(result.orbital_axis_sensor, truth.orbital_axis_sensor, rtol=0, atol=1e-8)
     found, true = result.placements[0], truth.placements[0]
     np.testing.assert_allclose(found.torus_center_world_m, true.torus_center_world_m, rtol=0, atol=EXACT_M)
-    np.testing.assert_allclose(found.angular_axis_world, true.angular_axis_world, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(found.angular_axis_world, true.angular_axis_world, rtol=0, atol=1e-8)
 
 
 @pytest.mark.parametrize("machine", ["mobile_nonisocentric", "mobile_skewed"])
@@ -143,7 +143,7 @@ def _static(recording: Recording) -> Recording:
 
 def _moved(recording: Recording) -> Recording:
     moved = bare(recording)
-    shift = np.where(np.arange(len(moved)) % 360 < 180, 0.0, 0.1)[:, None]
+    shift = np.where(np.arange(len(moved)) < 720, 0.0, 0.1)[:, None]
     return replace(moved, p_world_sensor=moved.p_world_sensor + shift)
 
 
