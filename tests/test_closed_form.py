@@ -87,7 +87,11 @@ def test_the_order_of_the_poses_does_not_matter():
     np.testing.assert_allclose(one.offset, other.offset, atol=1e-11)
 
 
-@pytest.mark.parametrize("motion", [small(), wandering(60, 2), paper()], ids=["circles", "free", "paper"])
+@pytest.mark.parametrize(
+    "motion",
+    [small(), wandering(60, 2), paper(), sweeps_deg((0,), np.arange(0, 360, 20), (0,), np.arange(0, 360, 20))],
+    ids=["circles", "free", "paper", "one circle each"],
+)
 def test_without_labels_noise_does_not_choose_the_direction_of_the_axes(motion):
     # on full circles some pose lies half a turn from the first, where noise decides on which side it is
     truth = machine(5, 0.1)

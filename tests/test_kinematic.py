@@ -17,6 +17,7 @@ from simulated import (
     machine,
     machine_of,
     paper,
+    pose_jacobians,
     problem,
     shuffled,
     small,
@@ -271,10 +272,10 @@ def test_uncertainty_and_noise_over_many_runs(name):
 
 
 def test_given_noise_is_taken_as_it_is():
-    data = replace(drawn("labels", 0)[0], sigma_t=3e-3, sigma_r=1e-3)
+    data = replace(drawn("labels", 0)[0], sigma_t=3e-3, sigma_r=4e-3)  # above the true noise: nothing is an outlier
     estimate = kinematic.solve(data, FIXED)
-    assert (estimate.sigma_t, estimate.sigma_r) == (3e-3, 1e-3)
-    expected = crlb(*CASES["labels"][:2], 3e-3, 1e-3, epsilon_known=True)
+    assert (estimate.sigma_t, estimate.sigma_r) == (3e-3, 4e-3)
+    expected = crlb(*CASES["labels"][:2], 3e-3, 4e-3, epsilon_known=True)
     np.testing.assert_allclose(np.diagonal(estimate.covariance.matrix)[:3], np.diagonal(expected)[:3], rtol=0.02)
 
 
@@ -312,9 +313,8 @@ def test_iterations_that_run_out_are_said():
 
 @pytest.mark.parametrize("fixed", [True, False])
 def test_what_no_label_gives_is_no_unknown(fixed):
-    torus = machine(24, 0.1, 0.01, 2).torus()
-    torus = replace(torus, referenced=np.array([True, False]), orbital_referenced=False)
-    active = active_unknowns(torus, fix_non_orthogonality=fixed)
+    motion = joined(sweeps_deg((-90, 0), TURN, (), ()), wandering(10, placement=1))  # no beta, one alpha
+    active = active_unknowns(problem(machine(24, 0.1, 0.01, 2), motion), fix_non_orthogonality=fixed)
     # [v, w] of two tori with the zero of alpha fourth, R, epsilon, [v, w] of the mount with that of beta fifth
     expected = [1] * 6 + [1, 1, 1, 0, 1, 1] + [1, 0 if fixed else 1] + [1, 1, 1, 1, 0, 1]
     assert active.astype(int).tolist() == expected
@@ -349,23 +349,21 @@ def test_efficient_with_rotation_noise_and_with_position_noise():
 @pytest.mark.parametrize("R", [0.1, 1e-3, 0.0, 0.9])
 @pytest.mark.parametrize(("sigma_t", "sigma_r"), [(1e-3, 0.0), (5e-3, 0.0), (0.0, np.radians(0.3))])
 def test_study_of_the_papers_protocol(R, sigma_t, sigma_r):
-    """The design's 1.1 times the bound over random geometries; 100 runs know the ratio to 7%."""
+    """The design's 1.1 times the bound over random geometries; 40 runs know the ratio to 8%: three of these."""
     motion = paper()
     labelled = np.isfinite(motion.label)
     ratio = []
-    for seed in range(100):
+    for seed in range(40):
         truth = machine(1000 + seed, R)
         floor = (max(sigma_t, 1e-6), max(sigma_r, 1e-6))
         bound = _bound_of_many_poses(truth, motion, labelled, *floor)
         estimate = kinematic.solve(problem(truth, motion, sigma_t, sigma_r, seed), FIXED)
         ratio.append(np.linalg.norm(estimate.offset - truth.offset) / bound)
-    assert np.sqrt(np.mean(np.square(ratio))) < 1.1 * 1.15
+    assert np.sqrt(np.mean(np.square(ratio))) < 1.1 * 1.24
 
 
 def _bound_of_many_poses(truth, motion, labelled, sigma_t, sigma_r) -> float:
     """The bound of the offset, the angle of each pose projected out of its own six rows."""
-    from simulated import pose_jacobians
-
     weight = np.repeat([1 / sigma_t, 1 / sigma_r], 3)[:, None]
     J_machine, J_angle = (J * weight for J in pose_jacobians(truth, motion))
     A = np.where(labelled[:, None, :], 0.0, J_angle)

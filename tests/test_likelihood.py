@@ -142,13 +142,14 @@ class Dense:
         return N[:D, :D] - N[:D, D:] @ X, g[:D] - X.T @ g[D:]
 
 
-def dense(data: Problem, line: Linearisation, angles: np.ndarray, weights: np.ndarray) -> Dense:
+def dense(data: Problem, line: Linearisation, angles: np.ndarray, used: np.ndarray) -> Dense:
     """Written from what Problem says: a held joint without a label is one unknown a sweep, a joint that
-    moves is one a pose; the label of a moving joint is a measurement of its angle."""
+    moves is one a pose; the label of a moving joint is a measurement of its angle. Poses that are not used
+    are left out, and so are the angles that then nothing measures."""
     n, P = len(data), data.placements
     D = 6 * P + 8
     place, number, sweeps = np.full((2, n), -1), D, {}
-    for i in range(n):
+    for i in np.flatnonzero(used):
         for joint in (0, 1):
             held, label = data.held[i, joint], data.label[i, joint]
             if held < 0:
@@ -159,10 +160,10 @@ def dense(data: Problem, line: Linearisation, angles: np.ndarray, weights: np.nd
                 place[joint, i] = sweeps[joint, held]
     rows, r, kind = [], [], []
     sigma = np.repeat(SIGMA, 3)[: len(line.residual)]
-    for i in range(n):
+    for i in np.flatnonzero(used):
         k = data.placement[i]
         for row in range(len(line.residual)):
-            w = np.sqrt(weights[i]) / sigma[row]
+            w = 1 / sigma[row]
             J = np.zeros(number)
             J[6 * k : 6 * k + 6] = w * line.by_local[row, :6, i]
             J[6 * P : 6 * P + 8] = w * line.by_local[row, 6:, i]
@@ -229,7 +230,7 @@ def eliminated(request, block) -> tuple[Dense, Reduced]:
     return both(request.param)
 
 
-def both(motion, weighted: bool = False, positions_only: bool = False) -> tuple[Dense, Reduced]:
+def both(motion, share_used: float = 1.0, positions_only: bool = False) -> tuple[Dense, Reduced]:
     """The dense problem and the eliminated one, some way off the truth, the poses in random order."""
     P = int(motion.placement.max()) + 1
     truth = machine(4, 0.1, 0.02, P)
@@ -240,10 +241,10 @@ def both(motion, weighted: bool = False, positions_only: bool = False) -> tuple[
         data = replace(data, R_world_sensor=None)
     torus = moved_by_hand(truth.torus(), 0.002 * rng.normal(size=6 * P + 8))
     angles = motion.angles[order].T + 0.002 * rng.normal(size=(2, len(motion)))
-    weights = rng.uniform(0.1, 1.0, len(motion)) if weighted else np.ones(len(motion))
+    used = rng.random(len(motion)) < share_used
     sigma = SIGMA[:1] if positions_only else SIGMA
-    reduced = normal_equations(torus, angles, data, AngleModel.of(data), sigma, weights if weighted else None)
-    return dense(data, linearise(torus, angles, data), angles, weights), reduced
+    reduced = normal_equations(torus, angles, data, AngleModel.of(data), sigma, None if used.all() else used)
+    return dense(data, linearise(torus, angles, data), angles, used), reduced
 
 
 def scaled_close(found, expected, scale, rtol=1e-8):
@@ -262,9 +263,20 @@ def test_normal_equations_against_the_dense_schur_complement(eliminated):
     check_normal_equations(full, reduced)
 
 
-def test_weights_scale_the_information_of_their_pose():
-    full, reduced = both(SWEEPS.without_labels(), weighted=True)
+@pytest.mark.parametrize("name", MOTIONS)
+def test_poses_that_are_not_used_have_no_say(name, block):
+    full, reduced = both(MOTIONS[name], share_used=0.7)
     check_normal_equations(full, reduced)
+    check_squares(full, full.r, (*reduced.squares, reduced.reading_cost))
+    check_redundancy(full, reduced)
+    check_angle_step(full, reduced)
+
+
+def test_poses_that_are_not_used_have_their_angles_fitted():
+    x = 1e-3 * np.random.default_rng(2).normal(size=14)
+    motion = with_readings(wandering(15))
+    steps = [both(motion, share_used=share)[1].angle_step(x) for share in (0.999999, 0.5)]
+    np.testing.assert_allclose(steps[0], steps[1], atol=1e-12)
 
 
 def test_positions_alone():
@@ -283,15 +295,28 @@ def test_the_position_share_of_the_information(eliminated):
 
 
 def test_the_step_of_the_angles_is_that_of_the_dense_problem(eliminated):
-    full, reduced = eliminated
+    check_angle_step(*eliminated)
+
+
+def check_angle_step(full: Dense, reduced: Reduced):
     x = 1e-3 * np.random.default_rng(2).normal(size=full.D)
     N, g, D = full.normal, full.J.T @ full.r, full.D
-    best = np.append(-np.linalg.solve(N[D:, D:], g[D:] + N[D:, :D] @ x), 0.0)  # known angles (-1) stay
-    np.testing.assert_allclose(reduced.angle_step(x), best[np.where(full.place < 0, -1, full.place - D)], atol=1e-9)
+    best = -np.linalg.solve(N[D:, D:], g[D:] + N[D:, :D] @ x)
+    counted = full.place >= 0
+    np.testing.assert_allclose(reduced.angle_step(x)[counted], best[full.place[counted] - D], atol=1e-9)
+
+
+def test_labelled_held_angles_stay_where_they_are():
+    full, reduced = both(SWEEPS)
+    x = 1e-3 * np.random.default_rng(2).normal(size=full.D)
+    assert (reduced.angle_step(x)[full.place < 0] == 0).all()
 
 
 def test_redundancy_against_the_traces_of_the_dense_hat_matrix(eliminated):
-    full, reduced = eliminated
+    check_redundancy(*eliminated)
+
+
+def check_redundancy(full: Dense, reduced: Reduced):
     A = full.J[:, full.D :]
     leverage = np.einsum("ij,ji->i", A, np.linalg.solve(A.T @ A, A.T))
     expected = [(1 - leverage[full.kind == kind]).sum() for kind in (0, 1)]
@@ -300,19 +325,14 @@ def test_redundancy_against_the_traces_of_the_dense_hat_matrix(eliminated):
 
 def test_sums_of_squares(eliminated):
     full, reduced = eliminated
-    check_squares(full, reduced, full.r, (*reduced.squares, reduced.reading_cost))
+    check_squares(full, full.r, (*reduced.squares, reduced.reading_cost))
     assert reduced.cost == pytest.approx((full.r**2).sum(), rel=1e-10)
     other = (3 * SIGMA[0], 5 * SIGMA[1])
     parts = [(full.r[full.kind == k] ** 2).sum() for k in range(3)]
     assert reduced.cost_at(other) == pytest.approx(parts[0] / 9 + parts[1] / 25 + parts[2], rel=1e-10)
 
 
-def test_sums_of_squares_with_weights():
-    full, reduced = both(with_readings(TWO.without_labels(), 2), weighted=True)
-    check_squares(full, reduced, full.r, (*reduced.squares, reduced.reading_cost))
-
-
-def check_squares(full: Dense, reduced: Reduced, r: np.ndarray, found):
+def check_squares(full: Dense, r: np.ndarray, found):
     expected = [(r[full.kind == k] ** 2).sum() * s**2 for k, s in enumerate((*SIGMA, 1.0))][: len(found)]
     np.testing.assert_allclose(found, expected, rtol=1e-9)
 
@@ -322,7 +342,7 @@ def test_squares_after_a_step_are_those_of_the_dense_problem(eliminated):
     x = 1e-3 * np.random.default_rng(2).normal(size=full.D)
     N, g, D = full.normal, full.J.T @ full.r, full.D
     both_steps = np.append(x, -np.linalg.solve(N[D:, D:], g[D:] + N[D:, :D] @ x))
-    check_squares(full, reduced, full.r + full.J @ both_steps, reduced.squares_after(x))
+    check_squares(full, full.r + full.J @ both_steps, reduced.squares_after(x))
 
 
 def test_which_angles_are_unknown():
