@@ -42,7 +42,7 @@ def test_exact_on_the_papers_protocol(R):
     st.sampled_from([0.0, np.radians(0.5), np.radians(-2.0)]),
     st.integers(1, 3),
 )
-@settings(max_examples=40)
+@settings(max_examples=20)
 def test_exact_on_free_motion_with_epsilon_free(seed, R, epsilon, placements):
     truth = machine(seed, R, epsilon, placements)
     motion = joined(*(wandering(40, seed + k, placement=k) for k in range(placements)))
