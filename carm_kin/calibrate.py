@@ -1,7 +1,7 @@
 """From a recording to a result: recording -> problem -> solver -> assessment -> result."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from types import ModuleType
 from typing import Any
 
@@ -10,12 +10,20 @@ import numpy as np
 import solvers
 from carm_kin import result as r
 from carm_kin.errors import InputError
+from carm_kin.options import options_of
 from carm_kin.provenance import provenance_of
 from carm_kin.recording import Recording, to_problem
 from solvers.assess import Assessment, Limits, assess
 from solvers.estimate import Covariance, Estimate, Note
 from solvers.problem import Problem
 from solvers.se3 import Array
+
+EXTENT_M = (0.005, 100.0)
+"""Positions that span less than the first while the sensor turns, or more than the second, are in a wrong unit."""
+TURNED = 0.1
+"""Range of an entry of the rotation matrices from which on the sensor counts as turning."""
+MIN_PLACEMENT = 3
+"""Fewest poses of a base placement."""
 
 
 def calibrate(
@@ -46,15 +54,23 @@ def calibrate(
         if name != "direct":
             raise InputError(f"locus '{locus}' needs the solver 'direct', not '{name}'")
         options["locus"] = locus
-    chosen = _options(module, name, options)
+    chosen = options_of(module.Options, name, options)
+    _check_noise("sigma_t_m", sigma_t_m)
+    _check_noise("sigma_r_rad", sigma_r_rad)
     problem = replace(to_problem(recording, angular, orbital), sigma_t=sigma_t_m, sigma_r=sigma_r_rad)
     if problem.R_world_sensor is None and name != "surface":
         raise InputError(f"the recording has no orientations (qw, qx, qy, qz), which '{name}' needs; use 'surface'")
     provenance = provenance_of(recording, command, options.get("seed"))
-    if len(problem) < limits.min_poses:
-        return _too_few(recording, name, asdict(chosen), limits, provenance)
+    refusal = Note("too_few_poses", f"{len(problem)} poses; at least {limits.min_poses} are needed")
+    if len(problem) >= limits.min_poses:
+        refusal = _wrong_unit(problem) or _small_placement(recording, problem)
+    if refusal:
+        return _refused(recording, name, asdict(chosen), refusal, provenance)
     try:
         estimate = module.solve(problem, chosen)
+    except np.linalg.LinAlgError:
+        refusal = Note("unobservable", "the poses determine no machine: the equations are singular")
+        return _refused(recording, name, asdict(chosen), refusal, provenance)
     except ValueError as error:
         raise InputError(str(error)) from None
     assessment = assess(problem, estimate, limits)
@@ -68,13 +84,33 @@ def _module(name: str) -> ModuleType:
         raise InputError(f"solver '{name}' is unknown; it is one of {', '.join(solvers.solver_names())}") from None
 
 
-def _options(module: ModuleType, name: str, options: Mapping[str, Any]) -> Any:
-    """The solver's options. Raises InputError for a name that it does not have."""
-    known = [f.name for f in fields(module.Options)]
-    for option in options:
-        if option not in known:
-            raise InputError(f"solver '{name}' has no option '{option}'; it has {', '.join(known)}")
-    return module.Options(**options)
+def _check_noise(name: str, value: float | None) -> None:
+    if value is not None and not 0 < value < np.inf:
+        raise InputError(f"{name} must be a finite number above 0, not {value}")
+
+
+def _wrong_unit(problem: Problem) -> Note | None:
+    """A refusal for positions of a size that no C-arm has while its sensor turns."""
+    extent = float(np.ptp(problem.p_world_sensor, axis=0).max(initial=0.0))
+    turned = problem.R_world_sensor is None or np.ptp(problem.R_world_sensor, axis=0).max() > TURNED
+    if extent > EXTENT_M[1] or (turned and extent < EXTENT_M[0]):
+        return Note(
+            "misfit",
+            f"the positions span {extent * 1e3:.3g} mm, which no C-arm does; is the unit of the position columns right "
+            "(metres read as millimetres, or the other way)?",
+        )
+    return None
+
+
+def _small_placement(recording: Recording, problem: Problem) -> Note | None:
+    counts = np.bincount(problem.placement, minlength=len(recording.placements))
+    few = np.flatnonzero(counts < MIN_PLACEMENT)
+    if not few.size:
+        return None
+    return Note(
+        "too_few_poses",
+        f"placement '{recording.placements[few[0]]}' has {counts[few[0]]} poses; at least {MIN_PLACEMENT} are needed",
+    )
 
 
 def _result(
@@ -94,6 +130,7 @@ def _result(
         options=options,
         offset_sensor_pivot_m=estimate.offset if ok else None,
         major_radius_m=abs(estimate.major_radius) if ok and estimate.major_radius is not None else None,
+        major_radius_signed_m=torus.major_radius if ok and torus else None,
         minor_radius_m=estimate.minor_radius if ok else None,
         axis_non_orthogonality_rad=torus.non_orthogonality + 0.0 if ok and torus else None,
         orbital_axis_sensor=torus.orbital_axis if ok and torus else None,
@@ -111,19 +148,18 @@ def _result(
         observability=r.Observability(
             values, float(values[0] / max(values[-1], 1e-300)) if values.size else None, assessment.unobservable
         ),
-        warnings=(*recording.warnings, *estimate.notes, *assessment.notes, *_notes(problem, estimate, ok)),
+        warnings=(*recording.warnings, *estimate.notes, *assessment.notes, *_notes(estimate, ok)),
         refusal=assessment.refusal,
         provenance=provenance,
         angles_rad=assessment.angles,
     )
 
 
-def _too_few(
-    recording: Recording, solver: str, options: Mapping[str, Any], limits: Limits, provenance: r.Provenance
+def _refused(
+    recording: Recording, solver: str, options: Mapping[str, Any], refusal: Note, provenance: r.Provenance
 ) -> r.CalibrationResult:
-    """The refusal of a recording with fewer poses than any solver needs."""
+    """A refusal before there is an estimate."""
     nothing = Estimate(solver, center=np.zeros((len(recording.placements), 3)))
-    refusal = Note("too_few_poses", f"{len(recording)} poses; at least {limits.min_poses} are needed")
     blank = Assessment(None, np.zeros((1, 3)), None, 0.0, None, 1.0, np.zeros(0), (refusal.message,), (), refusal)
     return _result(recording, to_problem(recording), nothing, blank, options, provenance)
 
@@ -197,7 +233,7 @@ def _rms(vectors: Array) -> float:
     return float(np.sqrt(np.nan_to_num((vectors**2).sum(axis=1)[np.isfinite(vectors[:, 0])].mean())))
 
 
-def _notes(problem: Problem, estimate: Estimate, ok: bool) -> list[Note]:
+def _notes(estimate: Estimate, ok: bool) -> list[Note]:
     notes = []
     if not estimate.converged:
         notes.append(Note("not_converged", f"the solver stopped after {estimate.iterations} steps without converging"))
@@ -207,13 +243,14 @@ def _notes(problem: Problem, estimate: Estimate, ok: bool) -> list[Note]:
         )
     torus = estimate.torus
     if ok and torus and not torus.referenced.all():
-        notes.append(Note("angular_zero_convention", "no label gives alpha = 0: it is taken at the first pose"))
-    if ok and torus and torus.orbital_referenced and np.ptp(problem.label[np.isfinite(problem.label[:, 1]), 1]) < 1e-6:
-        notes.append(
-            Note(
-                "orbital_sense_convention", "one orbital angle is labelled: which way beta counts is taken from R >= 0"
-            )
-        )
+        notes.append(_convention("angular", "alpha"))
     if ok and torus and not torus.orbital_referenced:
-        notes.append(Note("orbital_zero_convention", "no label gives beta = 0: it is taken at the first pose"))
+        notes.append(_convention("orbital", "beta"))
     return notes
+
+
+def _convention(joint: str, angle: str) -> Note:
+    return Note(
+        f"{joint}_zero_convention",
+        f"no label tells where {angle} is zero and which way it counts: it is taken as zero at the first pose",
+    )

@@ -40,7 +40,7 @@ def main() -> None:
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     use_any_encoding()
     try:
-        status = app(standalone_mode=False)
+        status = app(prog_name="carm-kin", standalone_mode=False)
     except RefusedError as error:
         status = _ended(3, f"refused ({error.code})", str(error))
     except CarmKinError as error:

@@ -125,6 +125,8 @@ class CalibrationResult:
     """(3,) the rotation centre in the sensor's frame."""
     major_radius_m: float | None
     """|R|, the distance of the two axes."""
+    major_radius_signed_m: float | None
+    """R as it stands in the chain formula: negative where labels put the pivot on the torus' -z side."""
     minor_radius_m: float | None
     """Radius of the sensor's orbit about the orbital axis."""
     axis_non_orthogonality_rad: float | None

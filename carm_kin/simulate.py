@@ -183,6 +183,7 @@ def _truth(
         options={"outliers": noise.outliers, "missing": noise.missing},
         offset_sensor_pivot_m=offset,
         major_radius_m=abs(geometry.major_radius),
+        major_radius_signed_m=geometry.major_radius,
         minor_radius_m=float(np.linalg.norm(np.cross(offset, axis))),
         axis_non_orthogonality_rad=geometry.non_orthogonality,
         orbital_axis_sensor=axis,

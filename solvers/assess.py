@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solvers import kinematic
+from solvers import closed_form, kinematic
 from solvers.covariance import (
     active_unknowns,
     covariance_of,
@@ -22,6 +22,11 @@ from solvers.likelihood import AngleModel, linearise
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
+
+AMBIGUOUS = (
+    "two machines explain the poses equally well, for instance with the angular and the orbital axis exchanged; "
+    "say which joint moves in each sweep, or record one more sweep"
+)
 
 
 @dataclass(frozen=True)
@@ -42,6 +47,8 @@ class Limits:
     """Least eigenvalue of the scaled information that counts as information."""
     max_rejected_share: float = 0.7
     """Largest share of poses that may be rejected."""
+    silent_rejected_share: float = 0.02
+    """Share of rejected poses from which on a warning says so."""
     max_moved_share: float = 0.3
     """Largest share of poses that may belong to another place of the base."""
     min_spread_sigmas: float = 4.0
@@ -84,12 +91,14 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         angles, sigma = estimate.angles.T[:, used], (estimate.sigma_t or 0.0, estimate.sigma_r or 0.0)
         at = normal_equations(torus, angles, part, AngleModel.of(part), sigma)
     residual = linearise(torus, angles, part).residual
-    active = active_unknowns(torus, fix_non_orthogonality=torus.non_orthogonality == 0.0)
+    active = active_unknowns(part, fix_non_orthogonality=torus.non_orthogonality == 0.0)
     values, vectors, scale = scaled_spectrum(at.H, active)
     covariance = covariance_of(torus, marginal_covariance(at.H, active))
     still = _joints_at_rest(torus, angles, sigma, limits)
     null = vectors[:, values < limits.min_relative_information * values[-1]] / scale[:, None]
     unobservable = (*still, *_in_words(torus, active, null))
+    if not still and closed_form.ambiguous(part):
+        unobservable += (AMBIGUOUS,)
     chi2_per_dof = at.cost / max(sum(at.redundancy) - active.sum(), 1.0)
     moved_at = base_moved_at(problem, estimate)
     return Assessment(
@@ -101,9 +110,10 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         chi2_per_dof=float(chi2_per_dof),
         singular_values=values[::-1],
         unobservable=unobservable,
-        notes=() if moved_at is None else (_base_moved(moved_at, used),),
-        refusal=_refusal(part, sigma, chi2_per_dof, covariance, unobservable, len(still), limits)
-        or _too_many_rejected(used, moved_at, limits),
+        notes=_rejections(used, moved_at, limits),
+        refusal=_misfits(part, sigma, chi2_per_dof, still, limits)
+        or _too_many_rejected(used, moved_at, limits)
+        or _undetermined(covariance, unobservable, limits),
     )
 
 
@@ -114,6 +124,8 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
     refusal = None
     if len(part) < limits.min_poses:
         refusal = Note("too_few_poses", f"{len(part)} usable poses; at least {limits.min_poses} are needed")
+    elif estimate.major_radius is None and estimate.unobservable:
+        refusal = Note("unobservable", "; ".join(estimate.unobservable))
     elif sigma > limits.max_sigma_t_m:
         refusal = _misfit(sigma, 0.0)
     elif estimate.covariance and estimate.covariance.block("offset").size:
@@ -138,6 +150,16 @@ def _spread(values: Array, used: np.ndarray) -> Array:
     full = np.full((len(used), values.shape[1]), np.nan)
     full[used] = values
     return full
+
+
+def _rejections(used: np.ndarray, moved_at: int | None, limits: Limits) -> tuple[Note, ...]:
+    """What there is to say of the poses that were not used."""
+    if moved_at is not None:
+        return (_base_moved(moved_at, used),)
+    share = 1 - used.mean()
+    if share <= limits.silent_rejected_share:
+        return ()
+    return (Note("many_rejected", f"{share:.0%} of the poses do not agree with the others and were not used"),)
 
 
 def _base_moved(pose: int, used: np.ndarray) -> Note:
@@ -192,23 +214,22 @@ def _in_words(torus: Torus, active: np.ndarray, null: Array) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def _refusal(
-    problem: Problem,
-    sigma: tuple[float, float],
-    chi2_per_dof: float,
-    covariance: Covariance,
-    unobservable: tuple[str, ...],
-    still: int,
-    limits: Limits,
+def _misfits(
+    part: Problem, sigma: tuple[float, float], chi2_per_dof: float, still: tuple[str, ...], limits: Limits
 ) -> Note | None:
-    given = problem.sigma_t is not None and problem.sigma_r is not None
+    if still:
+        return Note("one_axis_only", "; ".join(still))
     if sigma[0] > limits.max_sigma_t_m or sigma[1] > limits.max_sigma_r_rad:
         return _misfit(*sigma)
+    given = part.sigma_t is not None and part.sigma_r is not None
     if given and chi2_per_dof > limits.max_chi2_per_dof:
         return Note("misfit", f"residuals exceed the given noise: chi-square per degree of freedom {chi2_per_dof:.1f}")
+    return None
+
+
+def _undetermined(covariance: Covariance, unobservable: tuple[str, ...], limits: Limits) -> Note | None:
     if unobservable:
-        code = "one_axis_only" if still else "unobservable"
-        return Note(code, "; ".join(unobservable))
+        return Note("unobservable", "; ".join(unobservable))
     return _uncertain(covariance, limits)
 
 

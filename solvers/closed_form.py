@@ -10,14 +10,19 @@
 docs/estimation.md derives both steps.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from solvers.estimate import Estimate
-from solvers.problem import Problem
+from solvers.problem import ANGULAR, ORBITAL, Problem
 from solvers.se3 import Array, orthonormal_complement
 from solvers.torus import Axes
+
+SAME_AXIS = 0.99
+"""Cosine above which two candidates have the same axis."""
+RIVAL = 2.0
+"""A candidate of less than this times the best one's energy explains the poses as well."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +31,7 @@ class Options:
 
     fix_non_orthogonality: bool = True
     """Take the axes as perpendicular (the paper's model) instead of estimating epsilon."""
-    starts: int = 4
+    starts: int = field(default=4, metadata={"min": 1, "max": 9})
     """How many of the smallest eigenvectors are refined; the best is kept."""
     reject_outliers: bool = True
     """Leave out the poses that do not agree with one C-arm."""
@@ -36,7 +41,7 @@ class Options:
 
 def solve(problem: Problem, options: Options = Options()) -> Estimate:
     """The chain from poses alone. Needs orientations; raises ValueError without them."""
-    from solvers import robust
+    from solvers import robust  # which is built on this module
 
     used = robust.inliers(problem, options.seed) if options.reject_outliers else np.ones(len(problem), dtype=bool)
     agreeing = problem if used.all() else problem.select(used)
@@ -47,7 +52,9 @@ def axes_of(problem: Problem, options: Options = Options()) -> Axes:
     """The two axes, the offset and the radius, before any zero is given to the angles."""
     R, placement, P = problem.rotations, problem.placement, problem.placements
     M = _moments(R, placement, P)
-    n, a, s = _directions(M, options)
+    candidates = _directions(M, options)
+    best = np.argmin(axes_energy(M, *candidates) + _unrest(problem, *candidates[:2]))
+    n, a, s = candidates[0][best], candidates[1][best], float(candidates[2][best])
     if P > 1:
         n, s = _consistent_signs(problem, n, a, s)
         s = 0.0 if options.fix_non_orthogonality else s
@@ -63,17 +70,41 @@ def _moments(R: Array, placement: np.ndarray, P: int) -> Array:
     return np.stack([v[placement == p].T @ v[placement == p] for p in range(P)]) if P > 1 else (v.T @ v)[None]
 
 
-def _directions(M: Array, options: Options) -> tuple[Array, Array, float]:
-    """n (P, 3), a (3,) and sin(epsilon) from the moments: linear start, rank-one refinement."""
+def _directions(M: Array, options: Options) -> tuple[Array, Array, Array]:
+    """Candidates n (B, P, 3), a (B, 3), sin(epsilon) (B,) from the moments: linear starts, rank-one refinement."""
     size = 9 if options.fix_non_orthogonality else 10
     P = len(M)
     _, vectors = np.linalg.eigh(M[:, :size, :size])
     W = np.swapaxes(vectors[:, :, : options.starts], 1, 2)[..., :9].reshape(P * options.starts, 3, 3)
     a = np.linalg.svd(W)[2][:, 0, :]
     n = np.stack([_best_normal(M, p, a) for p in range(P)], axis=1)
-    n, a, s = refine_axes(M, n, a, np.zeros(len(a)), options.fix_non_orthogonality)
-    best = np.argmin(axes_energy(M, n, a, s))
-    return n[best], a[best], float(s[best])
+    return refine_axes(M, n, a, np.zeros(len(a)), options.fix_non_orthogonality)
+
+
+def ambiguous(problem: Problem, options: Options = Options()) -> bool:
+    """Whether two different pairs of axes explain the orientations almost equally well, and no label chooses.
+
+    One orbital and one angular sweep are also those of a machine with its axes exchanged.
+    """
+    M = _moments(problem.rotations, problem.placement, problem.placements)
+    n, a, s = _directions(M, options)
+    energy = axes_energy(M, n, a, s) + _unrest(problem, n, a)
+    best = int(np.argmin(energy))
+    other = np.minimum(np.abs(a @ a[best]), np.abs(n[:, 0] @ n[best, 0])) < SAME_AXIS
+    return bool((energy[other] < RIVAL * energy[best] + len(problem) * 1e-12).any())
+
+
+def _unrest(problem: Problem, n: Array, a: Array) -> Array:
+    """(B,) by how much the axes of each candidate turn in sweeps that hold them still: the scatter of R_i a
+    in orbital sweeps and of R_iT n in angular ones."""
+    total = np.zeros(len(a))
+    for joint in (ANGULAR, ORBITAL):
+        for poses in problem.sweeps(joint):
+            R = problem.rotations[poses]
+            fixed = n[:, problem.placement[poses[0]]]
+            turned = np.einsum("nij,bj->bni", R, a) if joint == ANGULAR else np.einsum("nij,bi->bnj", R, fixed)
+            total += ((turned - turned.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2))
+    return total
 
 
 def _best_normal(M: Array, p: int, a: Array) -> Array:

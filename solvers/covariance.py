@@ -4,18 +4,20 @@ import numpy as np
 
 from solvers.estimate import Covariance
 from solvers.likelihood import MOUNT_ROLL, TORUS_ROLL
+from solvers.problem import Problem
 from solvers.se3 import Array, skew
 from solvers.torus import Torus
 
 
-def active_unknowns(torus: Torus, fix_non_orthogonality: bool) -> np.ndarray:
+def active_unknowns(problem: Problem, fix_non_orthogonality: bool) -> np.ndarray:
     """(D,) mask of the unknowns that the data can determine: not the zero of an angle that no label
     gives, and not epsilon where it is fixed."""
-    placements = len(torus.T_world_torus)
+    placements = problem.placements
+    alpha, beta = problem.zero_labelled
     active = np.ones(6 * placements + 8, dtype=bool)
-    active[TORUS_ROLL : 6 * placements : 6] = torus.referenced
+    active[TORUS_ROLL : 6 * placements : 6] = alpha
     active[6 * placements + 1] = not fix_non_orthogonality
-    active[6 * placements + 2 + MOUNT_ROLL] = torus.orbital_referenced
+    active[6 * placements + 2 + MOUNT_ROLL] = beta
     return active
 
 
@@ -32,7 +34,9 @@ def marginal_covariance(H: Array, active: np.ndarray) -> Array:
 def scaled_spectrum(H: Array, active: np.ndarray) -> tuple[Array, Array, Array]:
     """Eigenvalues and vectors of H over the active unknowns, each unknown scaled to unit information."""
     inner = H[np.ix_(active, active)]
-    scale = np.sqrt(np.maximum(np.diagonal(inner), np.finfo(float).tiny))
+    if not np.isfinite(inner).all():
+        return np.zeros(len(inner)), np.eye(len(inner)), np.ones(len(inner))
+    scale = np.sqrt(np.maximum(np.diagonal(inner), 1e-150))
     values, vectors = np.linalg.eigh(inner / np.outer(scale, scale))
     return values, vectors, scale
 

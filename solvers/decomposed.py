@@ -14,7 +14,7 @@ every sweep a hypothesis, scored by the distance of the poses to the torus surfa
 estimated from the data unless a width is given. Orientations serve for signs and for t only.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -34,9 +34,9 @@ class Options:
 
     fix_non_orthogonality: bool = True
     """Take the axes as perpendicular instead of averaging -<n, a>."""
-    iterations: int = 500
+    iterations: int = field(default=500, metadata={"max": 10_000})
     """RANSAC hypotheses around the whole; 0: plain least squares over all poses."""
-    poses_per_sweep: int = 12
+    poses_per_sweep: int = field(default=12, metadata={"min": 3, "max": 1000})
     """Poses of every sweep in one hypothesis."""
     inlier_width_m: float | None = None
     """Full width of the inlier band about the torus surface; None: six robust standard deviations."""

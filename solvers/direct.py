@@ -6,7 +6,7 @@ function for each locus, built once, the poses being its parameters. Gauss-Newto
 damping runs in the tangent space.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import casadi as ca
@@ -47,7 +47,7 @@ class Options:
     """Leave out the poses that do not agree with one C-arm (circle only)."""
     seed: int = 0
     """Seed of the samples from which the agreeing poses are found."""
-    max_iterations: int = 100
+    max_iterations: int = field(default=100, metadata={"min": 1, "max": 10_000})
     """Steps after which the solver gives up and says so."""
 
 
@@ -126,7 +126,8 @@ def _locus(options: Options) -> Locus:
     try:
         return loci.locus(options.locus)
     except KeyError:
-        raise ValueError(f"locus {options.locus!r} is unknown; it is one of {', '.join(loci.locus_names())}") from None
+        known = ", ".join(name for name in loci.locus_names() if not name.startswith("published"))
+        raise ValueError(f"locus {options.locus!r} is unknown; it is one of {known}") from None
 
 
 def _start(problem: Problem, chosen: Locus, options: Options) -> Array:
@@ -195,8 +196,8 @@ class _Energy:
     def _linearised(self, theta: Array, chunk: Array) -> Array:
         """[J | e] transposed, (CHUNK, size + 1, rows); valid until the next call."""
         for i, argument in enumerate((np.ascontiguousarray(theta), chunk, self._lever)):
-            self._buffer.set_arg(i, memoryview(argument.reshape(-1)))
-        self._buffer.set_res(0, memoryview(self._rows.reshape(-1)))
+            self._buffer.set_arg(i, memoryview(argument.reshape(-1)))  # pyright: ignore[reportCallIssue, reportArgumentType]
+        self._buffer.set_res(0, memoryview(self._rows.reshape(-1)))  # pyright: ignore[reportCallIssue, reportArgumentType]
         self._evaluate()
         return self._rows
 

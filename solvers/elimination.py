@@ -32,7 +32,9 @@ class Reduced:
     g: Array
     """(D,) gradient of half the weighted sum of squares."""
     position_information: Array
-    """(D, D) share of H that the position residuals carry; rotations and readings carry the rest."""
+    """(D, D) share of H that the position residuals carry, and"""
+    reading_information: Array
+    """(D, D) that the readings carry; the rotations carry the rest."""
     redundancy: tuple[float, float]
     """Number of position and of rotation residuals, each less the part that the angles absorb
     (without orientations the second is without meaning)."""
@@ -44,7 +46,9 @@ class Reduced:
     distance2: Array
     """(N,) squared Mahalanobis distance of each pose's residual, at the point of linearisation."""
     _position: tuple[Array, float]
-    """Gradient and constant that complete `position_information` to a quadratic form."""
+    """Gradient and constant that complete `position_information` to a quadratic form, and"""
+    _reading: tuple[Array, float]
+    """those of `reading_information`."""
     _constant: float
     """What the angles' own steps leave of `cost`."""
     _response: Array
@@ -66,12 +70,17 @@ class Reduced:
 
     def squares_after(self, x: Array) -> tuple[float, float]:
         """`squares` as they will be, to first order, after the step ``x`` (D,) and its `angle_step`."""
-        g, constant = self._position
-        position = max(constant + 2 * g @ x + x @ self.position_information @ x, 0.0)
+        position, reading = (
+            max(float(constant + 2 * g @ x + x @ M @ x), 0.0)
+            for M, (g, constant) in (
+                (self.position_information, self._position),
+                (self.reading_information, self._reading),
+            )
+        )
         if len(self.sigma) == 1:
             return position * self.sigma[0] ** 2, 0.0
-        total = self._constant + 2 * self.g @ x + x @ self.H @ x
-        return position * self.sigma[0] ** 2, max(total - self.reading_cost - position, 0.0) * self.sigma[1] ** 2
+        total = float(self._constant + 2 * self.g @ x + x @ self.H @ x)
+        return position * self.sigma[0] ** 2, max(total - reading - position, 0.0) * self.sigma[1] ** 2
 
     def angle_step(self, x: Array) -> Array:
         """The step of every angle (2, N) that goes with the step ``x`` (D,) of the machine."""
@@ -127,9 +136,8 @@ class _Sums:
 
     def __init__(self, placements: int, sweeps: int, n: int):
         self.moment = np.zeros((placements, WIDTH, WIDTH))
-        self.position_moment = np.zeros((placements, WIDTH, WIDTH))
-        self.sweep = np.zeros((sweeps, WIDTH))
-        self.sweep_position = np.zeros((sweeps, WIDTH))
+        self.position_moment, self.reading_moment = np.zeros((2, placements, WIDTH, WIDTH))
+        self.sweep, self.sweep_position, self.sweep_reading = np.zeros((3, sweeps, WIDTH))
         self.response = np.empty((2, WIDTH, n))
         self.distance2 = np.empty(n)
         self.squares = np.zeros(2)
@@ -162,16 +170,21 @@ class _Sums:
         self.poses += len(part) if used is None else int(used.sum())
         self.free += int((model.free if used is None else model.free * used).sum())
 
+        read = np.sqrt(model.precision if used is None else model.precision * used)[:, None]
+        V = -read * X
+        V[:, RESIDUAL] += read[:, 0] * error
         for p, members in _members(part):
             self.moment[p] += _moment(B[..., members], B[..., members]) - _moment(C[..., members], X[..., members])
             self.position_moment[p] += _moment(U[..., members], U[..., members])
+            self.reading_moment[p] += _moment(V[..., members], V[..., members])
         member = np.flatnonzero(model.sweep >= 0)
         if member.size:
             rows = np.einsum("rn,rkn->nk", B[:, HELD, member], B[..., member])
             rows -= np.einsum("jn,jkn->nk", C[:, HELD, member], X[..., member])
             np.add.at(self.sweep, model.sweep[member], rows)
-            rows = np.einsum("rn,rkn->nk", U[:, HELD, member], U[..., member])
-            np.add.at(self.sweep_position, model.sweep[member], rows)
+            for sums, rows in ((self.sweep_position, U), (self.sweep_reading, V)):
+                products = np.einsum("rn,rkn->nk", rows[:, HELD, member], rows[..., member])
+                np.add.at(sums, model.sweep[member], products)
 
         cost = float((model.precision * error**2).sum())
         self.reading_cost += cost
@@ -185,26 +198,37 @@ class _Sums:
         """Eliminate the held angles and put the placements together."""
         columns = columns_of(problem.placements)
         size = 6 * problem.placements + LOCAL - 6
-        H, M = (_assembled(S, columns, size) for S in (self.moment, self.position_moment))
         own = self.sweep[:, HELD]
         ratio = self.sweep / np.where(own > 0, own, 1.0)[:, None]
         index = np.concatenate([columns[model.sweep_placement], np.full((len(own), 1), size)], axis=1)
-        k, rho, w = (_spread(row, index, size + 1) for row in (self.sweep, ratio, self.sweep_position))
-        H -= rho.T @ k
-        M -= rho.T @ w + w.T @ rho - (rho.T * self.sweep_position[:, HELD]) @ rho
-        absorbed = self.absorbed_position + float((self.sweep_position[:, HELD] / np.where(own > 0, own, 1.0)).sum())
-        rotation = self.free + (own > 0).sum() - absorbed - self.absorbed_readings
-        H, M = 0.5 * (H + H.T), 0.5 * (M + M.T)
+        rho = _spread(ratio, index, size + 1)
+        H = _assembled(self.moment, columns, size) - rho.T @ _spread(self.sweep, index, size + 1)
+        M, L = (
+            _without_sweeps(_assembled(moment, columns, size), _spread(sums, index, size + 1), rho, sums[:, HELD])
+            for moment, sums in (
+                (self.position_moment, self.sweep_position),
+                (self.reading_moment, self.sweep_reading),
+            )
+        )
+        shares = [
+            float((sums[:, HELD] / np.where(own > 0, own, 1.0)).sum())
+            for sums in (self.sweep_position, self.sweep_reading)
+        ]
+        absorbed = self.absorbed_position + shares[0]
+        rotation = self.free + (own > 0).sum() - absorbed - self.absorbed_readings - shares[1]
+        H, M, L = (0.5 * (x + x.T) for x in (H, M, L))
         return Reduced(
             H=H[:-1, :-1],
             g=H[:-1, -1],
             position_information=M[:-1, :-1],
+            reading_information=L[:-1, :-1],
             redundancy=(3 * self.poses - absorbed, float(3 * self.poses - rotation)),
             distance2=self.distance2,
             squares=(float(self.squares[0]), float(self.squares[1])),
             reading_cost=self.reading_cost,
             sigma=sigma,
             _position=(M[:-1, -1], float(M[-1, -1])),
+            _reading=(L[:-1, -1], float(L[-1, -1])),
             _constant=float(H[-1, -1]) + self.reading_cost,
             _response=self.response,
             _sweep_response=ratio,
@@ -265,6 +289,11 @@ def _assembled(moment: Array, columns: np.ndarray, size: int) -> Array:
         index = np.append(index, size)
         full[np.ix_(index, index)] += local[np.ix_(kept, kept)]
     return full
+
+
+def _without_sweeps(M: Array, w: Array, rho: Array, own: Array) -> Array:
+    """The moment of rows U - U_h rho_s from those of U: M, their products w with the held column, own with itself."""
+    return M - rho.T @ w - w.T @ rho + (rho.T * own) @ rho
 
 
 def _spread(rows: Array, index: np.ndarray, size: int) -> Array:

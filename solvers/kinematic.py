@@ -6,7 +6,7 @@ are estimated as variance components: the squared residuals of each kind over wh
 leave of them. A pose farther off than `OUTLIER_PROBABILITY` allows is given no weight, and may come back.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import chdtri
@@ -41,7 +41,7 @@ class Options:
     """Give no weight to poses that the noise does not explain."""
     seed: int = 0
     """Seed of the samples from which the agreeing poses are found."""
-    max_iterations: int = 40
+    max_iterations: int = field(default=40, metadata={"min": 1, "max": 10_000})
     """Steps after which the solver gives up and says so."""
     tolerance: float = 1e-3
     """A step shorter than this many standard deviations ends the iteration."""
@@ -96,7 +96,7 @@ def refine(
     ``used`` (N,) are the poses believed at the start, ``sigma`` the noise (m, rad) to start with.
     """
     model = AngleModel.of(problem)
-    active = active_unknowns(torus, fix_non_orthogonality)
+    active = active_unknowns(problem, fix_non_orthogonality)
     used = np.ones(len(problem), dtype=bool) if used is None else used
     bound = chdtri(6 - model.free.sum(axis=0), OUTLIER_PROBABILITY) if options.reject_outliers else np.inf
     angles = model.start(torus, problem, used)
@@ -110,7 +110,7 @@ def refine(
         new_sigma = next_sigma(problem, at, C, step)
         trial, trial_angles = retract(torus, step), angles + at.angle_step(step)
         there = normal_equations(trial, trial_angles, problem, model, new_sigma, used)
-        if there.cost > at.cost_at(new_sigma) * (1 + 1e-6) + 1e-6:
+        if not there.cost <= at.cost_at(new_sigma) * (1 + 1e-6) + 1e-6:
             damping = max(10 * damping, 1e-6)
             continue
         settled = np.allclose(new_sigma, sigma, rtol=options.sigma_tolerance)
@@ -158,7 +158,8 @@ def first_sigma(problem: Problem, torus: Torus, angles: Array, used: np.ndarray 
 def next_sigma(problem: Problem, at: Reduced, C: Array, step: Array) -> tuple[float, float]:
     """Both noises: squared residuals after the step over their redundancy, of which the machine's unknowns
     take shares in proportion to the information that they draw from each kind."""
-    drawn = np.array([(C * at.position_information).sum(), (C * (at.H - at.position_information)).sum()])
+    rotation_information = at.H - at.position_information - at.reading_information
+    drawn = np.array([(C * at.position_information).sum(), (C * rotation_information).sum()])
     left = np.maximum(np.array(at.redundancy) - drawn, 1.0)
     return _given_or(problem, np.sqrt(np.array(at.squares_after(step)) / left))
 
@@ -170,8 +171,8 @@ def _given_or(problem: Problem, estimated: Array) -> tuple[float, float]:
 
 def _step(at: Reduced, active: np.ndarray, damping: float) -> Array:
     inner = at.H[np.ix_(active, active)]
-    scale = np.sqrt(np.maximum(np.diagonal(inner), np.finfo(float).tiny))
+    scale = np.sqrt(np.maximum(np.diagonal(inner), 1e-150))
     A = inner / np.outer(scale, scale) + (damping + 1e-15) * np.eye(len(inner))
     step = np.zeros(len(active))
-    step[active] = -np.linalg.lstsq(A, at.g[active] / scale, rcond=1e-14)[0] / scale
+    step[active] = -np.linalg.lstsq(A, at.g[active] / scale, rcond=1e-10)[0] / scale
     return step

@@ -54,6 +54,13 @@ class Problem:
         """P, the number of base placements."""
         return int(self.placement.max()) + 1 if len(self) else 0
 
+    @cached_property
+    def zero_labelled(self) -> tuple[np.ndarray, bool]:
+        """(P,) whether a label or reading holds alpha = 0 of each placement, and whether one holds beta = 0."""
+        known = np.isfinite(self.label)
+        alpha = np.array([known[self.placement == p, ANGULAR].any() for p in range(self.placements)], dtype=bool)
+        return alpha, bool(known[:, ORBITAL].any())
+
     @property
     def rotations(self) -> Array:
         """`R_world_sensor`, for solvers that need it; raises ValueError where it was not recorded."""

@@ -14,7 +14,6 @@ import numpy as np
 from solvers import closed_form
 from solvers.problem import Problem
 from solvers.se3 import Array, skew
-from solvers.torus import Axes
 
 SAMPLE = 5
 """Poses of one hypothesis; four determine the axes."""
@@ -32,6 +31,9 @@ GROWTH = 3.2
 """Poses agree within this many medians of those that agreed before: 5.9 sigma of a residual in 4-space."""
 STREAM = 0x0B57
 """Keeps the draws apart from those of a simulation with the same seed."""
+LEAST_SPREAD = 5e-4
+"""Least 1 - |mean direction| of either axis over the agreeing poses (1.8 degrees rms): fewer do not count as a
+C-arm, since a single sweep is explained by many."""
 MAX_RELATIVE = 0.1
 """A pose off by more than this part of the offset's length does not support a hypothesis."""
 FLOOR_M = 5e-6
@@ -55,11 +57,12 @@ class Hypotheses:
     orbital_axis: Array
     """(B, 3)."""
 
-    @staticmethod
-    def of(axes: Axes) -> "Hypotheses":
-        """The single hypothesis of a fitted chain of one placement."""
-        radius, sine = np.array([axes.major_radius]), np.sin([axes.non_orthogonality])
-        return Hypotheses(axes.center, axes.angular_axis, radius, sine, axes.offset[None], axes.orbital_axis[None])
+    def spread(self, problem: Problem, agreeing: np.ndarray) -> Array:
+        """(B,) the lesser of 1 - |mean of R_i a| and 1 - |mean of R_iT n| over the agreeing poses (B, N)."""
+        weight = agreeing / np.maximum(agreeing.sum(axis=1, keepdims=True), 1)
+        mean_R = (weight @ problem.rotations.reshape(-1, 9)).reshape(-1, 3, 3)
+        along = np.einsum("bij,bj->bi", mean_R, self.orbital_axis), np.einsum("bij,bi->bj", mean_R, self.angular_axis)
+        return 1 - np.maximum(*(np.linalg.norm(mean, axis=1) for mean in along))
 
     def distances(self, problem: Problem) -> Array:
         """(B, N) residual, m: off the locus, and the angle between the axes times the length of the offset."""
@@ -91,37 +94,45 @@ def inliers(problem: Problem, seed: int = 0) -> np.ndarray:
 
 def _agreeing(problem: Problem, rng: np.random.Generator) -> np.ndarray:
     scored = problem.select(np.sort(rng.permutation(len(problem))[:SCORED]))
-    best, distance = _best_hypothesis(problem, scored, rng)
+    distance = _best_distances(problem, scored, rng)
     mask = distance <= GROWTH * max(float(np.quantile(distance, SHARE)), FLOOR_M)
-    for _ in range(15):
-        best = Hypotheses.of(closed_form.axes_of(scored.select(mask), closed_form.Options(False)))
-        distance = best.distances(scored)[0]
-        grown = distance <= GROWTH * max(float(np.median(distance[mask])), FLOOR_M)
-        if grown.sum() < SAMPLE or (grown == mask).all():
-            break
+    while True:
+        fitted = _fitted(scored.select(mask))
+        distance = fitted.distances(scored)[0]
+        reach = GROWTH * max(float(np.median(distance[mask])), FLOOR_M)
+        grown = distance <= reach
+        if grown.sum() <= mask.sum():
+            return fitted.distances(problem)[0] <= reach
         mask = grown
-    return best.distances(problem)[0] <= GROWTH * max(float(np.median(distance[mask])), FLOOR_M)
 
 
-def _best_hypothesis(problem: Problem, scored: Problem, rng: np.random.Generator) -> tuple[Hypotheses, Array]:
-    """The best of as many samples as the share of agreeing poses asks for, and its distances."""
-    best, distance, reach, tried = None, np.full(len(scored), np.inf), 0.0, 0
+def _fitted(problem: Problem) -> Hypotheses:
+    axes = closed_form.axes_of(problem, closed_form.Options(fix_non_orthogonality=False))
+    radius, sine = np.array([axes.major_radius]), np.sin([axes.non_orthogonality])
+    return Hypotheses(axes.center, axes.angular_axis, radius, sine, axes.offset[None], axes.orbital_axis[None])
+
+
+def _best_distances(problem: Problem, scored: Problem, rng: np.random.Generator) -> Array:
+    """Distances (M,) of the scored poses from the best hypothesis: the fit to all of them, or one from as
+    many samples as the share of agreeing poses asks for."""
+    batch, tried = _fitted(scored), 0
+    best = batch.distances(scored)[0]
+    rank, length = float(np.quantile(best, SHARE)), float(np.linalg.norm(batch.offset[0]))
     for size in BATCHES:
         sample = rng.integers(len(problem), size=(size, SAMPLE))
         batch = solve_samples(problem.rotations[sample], problem.p_world_sensor[sample], rng)
         distances = batch.distances(scored)
         ranks = np.quantile(distances, SHARE, axis=1)
+        agreeing = distances <= GROWTH * np.maximum(ranks, FLOOR_M)[:, None]
+        ranks[batch.spread(scored, agreeing) < LEAST_SPREAD] = np.inf
         i = int(np.argmin(ranks))
-        if best is None or ranks[i] < np.quantile(distance, SHARE):
-            best, distance = batch, distances[i]
-            reach = GROWTH * max(float(ranks[i]), FLOOR_M)
-            reach = min(reach, MAX_RELATIVE * float(np.linalg.norm(batch.offset[i])))
+        if ranks[i] < rank and rank > FLOOR_M:
+            best, rank, length = distances[i], float(ranks[i]), float(np.linalg.norm(batch.offset[i]))
         tried += size
-        share = np.mean(distance <= reach)
+        share = np.mean(best <= min(GROWTH * max(rank, FLOOR_M), MAX_RELATIVE * length))
         if tried * np.log1p(-min(0.9 * share**SAMPLE, 1 - 1e-9)) < np.log(CONFIDENCE):
             break
-    assert best is not None
-    return best, distance
+    return best
 
 
 def solve_samples(R: Array, p: Array, rng: np.random.Generator) -> Hypotheses:

@@ -11,7 +11,7 @@ which is linear in its coefficients before c is known, too. Positions cannot giv
 rotation of the sensor in its mount leaves them unchanged.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,6 +26,10 @@ from solvers.torus import Torus
 SIGMA_FLOOR_M = 1e-7
 SPHERE_SIGMAS = 5.0
 """A major radius of fewer noise sigmas cannot be told from a sphere."""
+MIN_POSES = 12
+"""Fewest positions for the eight unknowns."""
+FLAT = 0.01
+"""Thickness of the positions, relative to their extent, below which they lie in a plane."""
 NEARLY_SPHERE = 0.03
 """Relative deviation from a sphere below which the algebraic start is not trusted alone."""
 
@@ -34,7 +38,7 @@ NEARLY_SPHERE = 0.03
 class Options:
     """Options of the surface solver."""
 
-    max_iterations: int = 100
+    max_iterations: int = field(default=100, metadata={"min": 1, "max": 10_000})
     """Steps after which a start is given up."""
 
 
@@ -42,9 +46,27 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
     """c, n, R, b and t_y from positions. Raises ValueError for several base placements."""
     if problem.placements > 1:
         raise ValueError("surface fits one base placement at a time; select one")
+    unobservable = _flat(problem.p_world_sensor)
+    if unobservable:
+        center = problem.p_world_sensor.mean(axis=0)[None]
+        return Estimate("surface", center=center, unobservable=unobservable, converged=False)
     positions = Problem.of_poses(problem.p_world_sensor, None)
     fits = [_refine(positions, start, options) for start in _starts(problem.p_world_sensor)]
     return min(fits, key=lambda fit: fit.sigma_t or 0.0)
+
+
+def _flat(p: Array) -> tuple[str, ...]:
+    """A sentence where the positions fill no surface: they stand still, or lie on a curve in a plane."""
+    spread = np.linalg.svd(p - p.mean(axis=0), compute_uv=False) / np.sqrt(len(p))
+    if len(p) < MIN_POSES:
+        return (
+            f"{len(p)} positions cannot determine the eight unknowns of the surface: at least {MIN_POSES} are needed",
+        )
+    if spread[-1] > FLAT * spread[0]:
+        return ()
+    return (
+        "the positions lie in a plane or stand still, so they show motion about one axis at most: the torus is unknown",
+    )
 
 
 def _starts(p: Array) -> list[Torus]:
@@ -86,7 +108,7 @@ def _torus(c: Array, n: Array, R: float, b: float, t_y: float, mean: Array, scal
 
 def _refine(problem: Problem, torus: Torus, options: Options) -> Estimate:
     model = AngleModel.of(problem)
-    active = active_unknowns(torus, fix_non_orthogonality=True)
+    active = active_unknowns(problem, fix_non_orthogonality=True)
     active[[8, 11, 12, 13]] = False  # the mount has two unknowns left, t_y and b
     angles = nearest_angles(torus, problem)
     at = normal_equations(torus, angles, problem, model, (1.0,))

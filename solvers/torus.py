@@ -14,6 +14,9 @@ import numpy as np
 from solvers.problem import Problem
 from solvers.se3 import Array, inverse, orthonormal_complement, rot_x, rot_y, rot_z, transform
 
+SENSE_RADIUS_M = 1e-3
+"""Above this major radius R >= 0 tells the direction of one axis from that of the other."""
+
 
 @dataclass(frozen=True, eq=False)
 class Torus:
@@ -28,9 +31,9 @@ class Torus:
     T_sensor_carm: Array
     """(4, 4); its translation is the offset and its y axis the orbital axis."""
     referenced: np.ndarray
-    """(P,) whether alpha = 0 of the placement is given by labels (else it is a convention)."""
+    """(P,) whether labels give the zero and the sense of alpha (else they are a convention)."""
     orbital_referenced: bool
-    """Whether beta = 0 is given by labels (else it is a convention)."""
+    """Whether labels give the zero and the sense of beta (else they are a convention)."""
 
     @property
     def offset(self) -> Array:
@@ -99,16 +102,22 @@ class Axes:
         """The chain with its zeros set by the labels where there are any, else by convention.
 
         Convention without labels: alpha = 0 and beta = 0 at the first pose of the placement, R >= 0,
-        and the sine of alpha positive on the whole over the poses of the first placement.
+        and alpha positive where it first lies well off both zero and half a turn (placement of the first pose).
         """
         axes = self if self.major_radius >= 0 else self.turned(1, -1)
         raw = axes._with_arbitrary_zeros()
         angles = raw.angles(problem)
         senses = [_sense(angles[:, j], problem.label[:, j], problem.placement if j == 0 else None) for j in (0, 1)]
         flips = _flips(senses, angles[problem.placement == problem.placement[0], 0])
-        axes = axes.turned(*flips)
-        raw = axes._with_arbitrary_zeros()
-        return _with_zeros(raw, raw.angles(problem), problem)
+        raw = axes.turned(*flips)._with_arbitrary_zeros()
+        clear = abs(self.major_radius) > SENSE_RADIUS_M
+        told = [senses[j] != 0 or (senses[1 - j] != 0 and clear) for j in (0, 1)]
+        alpha, beta = problem.zero_labelled
+        return replace(
+            _with_zeros(raw, raw.angles(problem), problem),
+            referenced=alpha & told[0],
+            orbital_referenced=beta and told[1],
+        )
 
     def turned(self, angular: int, orbital: int) -> "Axes":
         """The same two lines with the direction of n and of a multiplied by the given signs."""
@@ -156,28 +165,21 @@ def _flips(senses: list[int], swivel: Array) -> tuple[int, int]:
     """Signs for n and a. One labelled joint fixes its own axis, and R >= 0 then fixes the other."""
     angular, orbital = senses
     if angular == orbital == 0:
-        angular = 1 if np.sin(swivel - swivel[0]).sum() >= 0 else -1
+        sine = np.sin(swivel - swivel[0])
+        angular = 1 if sine[np.argmax(np.abs(sine) > 0.55 * np.abs(sine).max())] >= 0 else -1
     return angular or orbital, orbital or angular
 
 
 def _with_zeros(raw: Torus, angles: Array, problem: Problem) -> Torus:
-    known = np.isfinite(problem.label)
+    """The chain whose angles are the labels, or zero at the first pose."""
     T_world_torus = raw.T_world_torus.copy()
-    referenced = np.zeros(len(T_world_torus), dtype=bool)
     for p in range(len(T_world_torus)):
         here = problem.placement == p
-        referenced[p] = known[here, 0].any()
         zero = _zero(angles[here, 0], problem.label[here, 0])
         T_world_torus[p, :3, :3] = T_world_torus[p, :3, :3] @ rot_x(zero)
     T_sensor_carm = raw.T_sensor_carm.copy()
     T_sensor_carm[:3, :3] = T_sensor_carm[:3, :3] @ rot_y(-_zero(angles[:, 1], problem.label[:, 1]))
-    return replace(
-        raw,
-        T_world_torus=T_world_torus,
-        T_sensor_carm=T_sensor_carm,
-        referenced=referenced,
-        orbital_referenced=bool(known[:, 1].any()),
-    )
+    return replace(raw, T_world_torus=T_world_torus, T_sensor_carm=T_sensor_carm)
 
 
 def _zero(angle: Array, label: Array) -> float:

@@ -143,7 +143,6 @@ def test_bad_options_of_calibrate(arguments, expected, rec, tmp_path, monkeypatc
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.xfail(reason="calibrate._options does not call carm_kin.options.options_of yet", strict=True)
 @pytest.mark.parametrize("value", ["abc", "-1", "1.5", "true", "null", "[1]", "NaN", "1e400", "[" * 5000, "9" * 5000])
 def test_option_values_of_a_wrong_type(value, rec, capsys):
     message = fails(capsys, "calibrate", rec, "-O", f"max_iterations={value}")

@@ -18,7 +18,8 @@ from carm_kin.result import CalibrationResult
 from solvers.estimate import Covariance, Note
 
 DESIGN_KEYS = {
-    "schema", "status", "solver", "options", "offset_sensor_pivot_mm", "major_radius_mm", "minor_radius_mm",
+    "schema", "status", "solver", "options", "offset_sensor_pivot_mm", "major_radius_mm",
+    "major_radius_signed_mm", "minor_radius_mm",
     "axis_non_orthogonality_deg", "orbital_axis_sensor", "placements", "T_sensor_carm", "orbital_referenced",
     "sigma", "covariance", "noise", "residuals", "poses", "used", "outliers", "observability", "warnings",
     "refusal", "provenance",
@@ -146,6 +147,7 @@ def results(draw) -> CalibrationResult:
         },
         offset_sensor_pivot_m=maybe(vectors),
         major_radius_m=maybe(positive),
+        major_radius_signed_m=maybe(numbers),
         minor_radius_m=maybe(positive),
         axis_non_orthogonality_rad=maybe(numbers),
         orbital_axis_sensor=T[:3, 1],
