@@ -158,7 +158,7 @@ class _Sums:
         B, A = _weighted(line, model, sigma)
         self.distance2[here] = (B[:, RESIDUAL] ** 2).sum(axis=0)
         error = model.reading_error(angles)
-        C = np.stack([(A[:, j, None] * B).sum(axis=0) for j in (0, 1)])
+        C = np.stack([np.einsum("rn,rkn->kn", A[:, j], B) for j in (0, 1)])
         C[:, RESIDUAL] += model.precision * error
         G_inverse = _inverse_blocks(A, model)
         X = self.response[..., here]
@@ -170,29 +170,41 @@ class _Sums:
         self.poses += len(part) if used is None else int(used.sum())
         self.free += int((model.free if used is None else model.free * used).sum())
 
-        read = np.sqrt(model.precision if used is None else model.precision * used)[:, None]
-        V = -read * X
-        V[:, RESIDUAL] += read[:, 0] * error
+        V = self._readings(X, G_inverse, error, model, used)
         for p, members in _members(part):
             self.moment[p] += _moment(B[..., members], B[..., members]) - _moment(C[..., members], X[..., members])
             self.position_moment[p] += _moment(U[..., members], U[..., members])
-            self.reading_moment[p] += _moment(V[..., members], V[..., members])
+            if V is not None:
+                self.reading_moment[p] += _moment(V[..., members], V[..., members])
         member = np.flatnonzero(model.sweep >= 0)
         if member.size:
             rows = np.einsum("rn,rkn->nk", B[:, HELD, member], B[..., member])
             rows -= np.einsum("jn,jkn->nk", C[:, HELD, member], X[..., member])
             np.add.at(self.sweep, model.sweep[member], rows)
             for sums, rows in ((self.sweep_position, U), (self.sweep_reading, V)):
-                products = np.einsum("rn,rkn->nk", rows[:, HELD, member], rows[..., member])
-                np.add.at(sums, model.sweep[member], products)
+                if rows is not None:
+                    products = np.einsum("rn,rkn->nk", rows[:, HELD, member], rows[..., member])
+                    np.add.at(sums, model.sweep[member], products)
 
-        cost = float((model.precision * error**2).sum())
-        self.reading_cost += cost
         square = (B[:, RESIDUAL].reshape(len(sigma), -1) ** 2).sum(axis=1) * np.square(sigma)
         self.squares[: len(sigma)] += square
-        self.absorbed_position += float(np.einsum("rin,ijn,rjn->", A[:3], G_inverse, A[:3], optimize=True))
+        crossed = 2 * (A[:3, 0] * A[:3, 1]).sum(axis=0) * G_inverse[0, 1]
+        own = (A[:3] ** 2).sum(axis=0)
+        self.absorbed_position += float((own[0] * G_inverse[0, 0] + own[1] * G_inverse[1, 1] + crossed).sum())
+
+    def _readings(
+        self, X: Array, G_inverse: Array, error: Array, model: AngleModel, used: np.ndarray | None
+    ) -> Array | None:
+        """The readings' rows after their poses' own angles are fitted (2, 16, n); None where there are none."""
+        if not model.precision.any():
+            return None
         known = model.precision if used is None else model.precision * used
+        self.reading_cost += float((known * error**2).sum())
         self.absorbed_readings += float((known * G_inverse[[0, 1], [0, 1]]).sum())
+        read = np.sqrt(known)
+        V = -read[:, None] * X
+        V[:, RESIDUAL] += read * error
+        return V
 
     def reduced(self, model: AngleModel, problem: Problem, sigma: tuple[float, ...]) -> Reduced:
         """Eliminate the held angles and put the placements together."""

@@ -89,20 +89,21 @@ def refine(
     options: Options,
     fix_non_orthogonality: bool,
     used: np.ndarray | None = None,
-    sigma: tuple[float, float] | None = None,
+    sigma_given: tuple[float, float] | None = None,
 ) -> Estimate:
     """Maximum likelihood from a given start, whose zeros and senses of the angles are kept.
 
-    ``used`` (N,) are the poses believed at the start, ``sigma`` the noise (m, rad) to start with.
+    ``used`` (N,) are the poses believed at the start, ``sigma_given`` the noise (m, rad) to start with.
     """
     model = AngleModel.of(problem)
     active = active_unknowns(problem, fix_non_orthogonality)
     used = np.ones(len(problem), dtype=bool) if used is None else used
     bound = chdtri(6 - model.free.sum(axis=0), OUTLIER_PROBABILITY) if options.reject_outliers else np.inf
     angles = model.start(torus, problem, used)
-    sigma = sigma or first_sigma(problem, torus, angles, used)
+    sigma = sigma_given or first_sigma(problem, torus, angles, used)
     at = normal_equations(torus, angles, problem, model, sigma, used)
-    damping, converged, iteration = 0.0, False, 0
+    damping, converged, changed, iteration = 0.0, False, False, 0
+    trusted_from = 3 if sigma_given is None else 1
     while not converged and iteration < options.max_iterations:
         iteration += 1
         C = marginal_covariance(at.H, active)
@@ -110,15 +111,15 @@ def refine(
         new_sigma = next_sigma(problem, at, C, step)
         trial, trial_angles = retract(torus, step), angles + at.angle_step(step)
         there = normal_equations(trial, trial_angles, problem, model, new_sigma, used)
-        if not there.cost <= at.cost_at(new_sigma) * (1 + 1e-6) + 1e-6:
+        if not changed and not there.cost <= at.cost_at(new_sigma) * (1 + 1e-6) + 1e-6:
             damping = max(10 * damping, 1e-6)
             continue
         settled = np.allclose(new_sigma, sigma, rtol=options.sigma_tolerance)
-        believed = there.distance2 <= bound if settled or iteration > 2 else used
+        believed = there.distance2 <= bound if settled or iteration >= trusted_from else used
+        steady = settled and not changed and damping == 0
         changed = bool((believed != used).any())
-        converged = settled and not changed and damping == 0 and step @ at.H @ step < options.tolerance**2
-        torus, angles, sigma, used = trial, trial_angles, new_sigma, believed
-        at = normal_equations(torus, angles, problem, model, sigma, used) if changed else there
+        converged = steady and not changed and step @ at.H @ step < options.tolerance**2
+        torus, angles, sigma, used, at = trial, trial_angles, new_sigma, believed, there
         damping = damping * 0.1 if damping > 1e-8 else 0.0
     return Estimate.of_torus(
         "kinematic",
@@ -174,5 +175,5 @@ def _step(at: Reduced, active: np.ndarray, damping: float) -> Array:
     scale = np.sqrt(np.maximum(np.diagonal(inner), 1e-150))
     A = inner / np.outer(scale, scale) + (damping + 1e-15) * np.eye(len(inner))
     step = np.zeros(len(active))
-    step[active] = -np.linalg.lstsq(A, at.g[active] / scale, rcond=1e-10)[0] / scale
+    step[active] = -np.linalg.lstsq(A, at.g[active] / scale, rcond=1e-14)[0] / scale
     return step

@@ -138,10 +138,16 @@ def _position_residual(torus: Torus, angles: Array, problem: Problem, Q: Array) 
 
 def _rotation_residual(torus: Torus, problem: Problem, Q: Array) -> Array:
     """(3, N) rotation vector from the predicted to the observed orientation in the carm frame, rad."""
-    R_torus_world = np.swapaxes(torus.T_world_torus[:, :3, :3], 1, 2)
-    turn = R_torus_world if len(R_torus_world) == 1 else R_torus_world[problem.placement]
-    R_torus_carm = turn @ (problem.rotations @ torus.T_sensor_carm[:3, :3])
-    return log_so3_small(np.moveaxis(Q, -1, 0).swapaxes(1, 2) @ R_torus_carm).T
+    R_world_torus, R_sensor_carm = torus.T_world_torus[:, :3, :3], torus.T_sensor_carm[:3, :3]
+    flat = problem.rotations.reshape(-1, 9)
+    if len(R_world_torus) == 1:
+        observed = np.kron(R_world_torus[0].T, R_sensor_carm.T) @ flat.T
+    else:
+        turned = np.einsum("nji,njk->nik", R_world_torus[problem.placement], problem.rotations)
+        observed = np.kron(np.eye(3), R_sensor_carm.T) @ turned.reshape(-1, 9).T
+    W = observed.reshape(3, 3, -1)
+    E = (Q[:, :, None] * W[:, None]).sum(axis=0)
+    return log_so3_small(np.moveaxis(E, -1, 0)).T
 
 
 def linearise(torus: Torus, angles: Array, problem: Problem) -> Linearisation:
