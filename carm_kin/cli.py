@@ -4,17 +4,18 @@
 130 interrupted. Human text goes to stderr; results, where they are asked for with ``--json -``, to stdout.
 """
 
-import inspect as introspection
 import json
 import sys
 import warnings
-from math import inf, radians
+from dataclasses import replace
+from math import radians
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 import carm_kin
+from carm_kin.cli_arguments import above_zero, joint_names, options, writable
 from carm_kin.errors import CarmKinError, InputError, RefusedError
 from carm_kin.terminal import Stderr, to_stdout, use_any_encoding
 
@@ -26,6 +27,7 @@ app = typer.Typer(
 )
 
 Urdf = Annotated[str, typer.Argument(help="A URDF file or the name of a bundled machine.")]
+AsJson = Annotated[str | None, typer.Option("--json", help="Write the result here; - for stdout.")]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 Angular = Annotated[str | None, typer.Option(help="Name of the angular joint.")]
 Orbital = Annotated[str | None, typer.Option(help="Name of the orbital joint.")]
@@ -128,7 +130,7 @@ def simulate(
     seed: Seed = 0,
 ) -> None:
     """Simulate a recording of a C-arm, with its truth beside it."""
-    truth_file = _writable(_writable(out).with_suffix(".truth.json"))
+    truth_file = writable(writable(out).with_suffix(".truth.json"))
     recording, truth = carm_kin.simulate(
         urdf,
         protocol,
@@ -164,96 +166,83 @@ def calibrate(
     option: Annotated[
         list[str] | None, typer.Option("--option", "-O", help="Option of the solver, NAME=VALUE; may be repeated.")
     ] = None,
-    as_json: Annotated[str | None, typer.Option("--json", help="Write the result here; - for stdout.")] = None,
+    cross_validate: Annotated[
+        int | None, typer.Option(help="Predict each of so many parts of the recording by the fit to the others.")
+    ] = None,
+    as_json: AsJson = None,
 ) -> None:
     """Calibrate a recording: offset, radii, axes, and how good they are."""
     from carm_kin import summary
     from carm_kin.provenance import command_line
 
     if as_json not in (None, "-"):
-        _writable(Path(as_json))
+        writable(Path(as_json))
     poses = carm_kin.read_recording(recording)
-    joints = _joint_names(poses, urdf, sensor_link, angular, orbital)
-    result = carm_kin.calibrate(
-        poses,
-        solver,
-        locus=locus,
-        angular=joints[0],
-        orbital=joints[1],
-        sigma_t_m=_above_zero("--sigma-t-mm", sigma_t_mm, 1e-3),
-        sigma_r_rad=_above_zero("--sigma-r-deg", sigma_r_deg, radians(1)),
-        command=command_line(sys.argv[1:]),
-        **_options(option or []),
-    )
-    if as_json == "-":
-        to_stdout(result.to_json())
-    elif as_json is not None:
-        result.to_json(as_json)
+    joints = joint_names(poses, urdf, sensor_link, angular, orbital)
+    settings: dict[str, Any] = {
+        "locus": locus,
+        "angular": joints[0],
+        "orbital": joints[1],
+        "sigma_t_m": above_zero("--sigma-t-mm", sigma_t_mm, 1e-3),
+        "sigma_r_rad": above_zero("--sigma-r-deg", sigma_r_deg, radians(1)),
+        **options(option or []),
+    }
+    result = carm_kin.calibrate(poses, solver, command=command_line(sys.argv[1:]), **settings)
+    if cross_validate is not None and result.refusal is None:
+        from carm_kin.cross_validate import cross_validate as held_out
+
+        result = replace(result, cross_validation=held_out(poses, cross_validate, solver, **settings))
+    _deliver(result, as_json)
     summary.show(result, Stderr())
     if result.refusal:
         raise RefusedError(result.refusal.code, result.refusal.message)
 
 
-def _writable(path: Path) -> Path:
-    """The path of a file that may be written, checked before the work starts."""
-    if path.is_dir():
-        raise InputError("is a folder; give the name of a file", file=path)
-    if not path.parent.is_dir():
-        raise InputError(f"the folder {path.parent} does not exist", file=path)
-    return path
+@app.command(epilog="Example: carm-kin check result.json new.csv --tolerance-mm 1 --tolerance-deg 0.5")
+def check(
+    result: Annotated[Path, typer.Argument(help="The saved calibration, as calibrate --json writes it.")],
+    recording: Annotated[Path, typer.Argument(help="A new recording with motion about both axes.")],
+    tolerance_mm: Annotated[float, typer.Option(help="Change of a length that is accepted.")] = 1.0,
+    tolerance_deg: Annotated[float, typer.Option(help="Change of an angle that is accepted.")] = 0.5,
+    angular: Angular = None,
+    orbital: Orbital = None,
+    sigma_t_mm: Annotated[float | None, typer.Option(help="Position noise, if it is known.")] = None,
+    sigma_r_deg: Annotated[float | None, typer.Option(help="Orientation noise, if it is known.")] = None,
+    as_json: AsJson = None,
+) -> None:
+    """Check whether a saved calibration still holds: status 0 passed, 3 failed or refused."""
+    from carm_kin import summary
+    from carm_kin.check import check as apply
+    from carm_kin.provenance import command_line
+
+    if as_json not in (None, "-"):
+        writable(Path(as_json))
+    saved = carm_kin.CalibrationResult.from_json(result)
+    poses = carm_kin.read_recording(recording)
+    joints = joint_names(poses, None, None, angular, orbital)
+    found = apply(
+        saved,
+        poses,
+        tolerance_m=tolerance_mm / 1e3,
+        tolerance_rad=radians(tolerance_deg),
+        angular=joints[0],
+        orbital=joints[1],
+        sigma_t_m=above_zero("--sigma-t-mm", sigma_t_mm, 1e-3),
+        sigma_r_rad=above_zero("--sigma-r-deg", sigma_r_deg, radians(1)),
+        command=command_line(sys.argv[1:]),
+    )
+    _deliver(found, as_json)
+    summary.show_check(found, Stderr())
+    if found.refusal:
+        raise RefusedError(found.refusal.code, found.refusal.message)
+    if found.failures:
+        raise typer.Exit(_ended(3, "failed", "; ".join(found.failures)))
+    Stderr().print("passed: the saved calibration holds", style="bold green")
 
 
-def _above_zero(option: str, value: float | None, unit: float) -> float | None:
-    """A standard deviation in m or rad."""
-    if value is None:
-        return None
-    if not 0 < value < inf:
-        raise InputError(f"{option} must be a finite number above 0, not {value}; leave it out to estimate it")
-    return value * unit
-
-
-def _joint_names(
-    recording: carm_kin.Recording,
-    urdf: str | None,
-    sensor_link: str | None,
-    angular: str | None,
-    orbital: str | None,
-) -> tuple[str, str]:
-    """The names of the two joints in the recording: by option, from the URDF, or the usual ones.
-
-    Raises InputError where the recording names joints, but not those that were asked for.
-    """
-    names = {*recording.joints, *(() if recording.moving is None else recording.moving)} - {""}
-    has = f"the recording has {', '.join(sorted(names))}"
-    for option, joint in (("--angular", angular), ("--orbital", orbital)):
-        if joint is not None and names and joint not in names:
-            raise InputError(f"{option}: no joint '{joint}'; {has}")
-    if urdf is None:
-        return angular or "angular", orbital or "orbital"
-    from carm_kin.chain import chain_of
-    from carm_kin.urdf import read_urdf
-
-    chain = chain_of(read_urdf(urdf), sensor_link, angular, orbital)
-    axes = chain.names[chain.angular], chain.names[chain.orbital]
-    if names and not names & set(axes):
-        raise InputError(f"--urdf: its axes are '{axes[0]}' and '{axes[1]}'; {has}; is it another machine?")
-    return axes
-
-
-def _options(pairs: list[str]) -> dict[str, Any]:
-    """``NAME=VALUE`` pairs; a value is JSON where it can be (true, 0.05, null), else text."""
-    found: dict[str, Any] = {}
-    for pair in pairs:
-        name, equals, text = pair.partition("=")
-        name = name.strip().replace("-", "_")
-        if not equals or not name:
-            raise InputError(f"--option '{pair}' is not of the form NAME=VALUE")
-        if name in introspection.signature(carm_kin.calibrate).parameters:
-            raise InputError(f"--option '{name}' is no option of a solver (see carm-kin calibrate --help)")
-        if name in found:
-            raise InputError(f"--option '{name}' is given twice")
-        try:
-            found[name] = json.loads(text)
-        except (ValueError, RecursionError):
-            found[name] = text
-    return found
+def _deliver(result: Any, as_json: str | None) -> None:
+    """Write the JSON of a result where it was asked for."""
+    if as_json == "-":
+        to_stdout(result.to_json())
+    elif as_json is not None:
+        result.to_json(as_json)

@@ -1,25 +1,20 @@
 """The result of a calibration: metres and radians in Python, named units in its JSON file."""
 
-import contextlib
 import json
 import os
-import uuid
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from carm_kin.errors import InputError
-from carm_kin.result_json import name_in_file, of_json_object, read_object, to_json_value
+from carm_kin.result_checks import contradiction
+from carm_kin.result_json import name_in_file, of_json_object, read_object, to_json_value, write_atomically
 from solvers.estimate import Covariance, Note
 from solvers.se3 import Array
 
 SCHEMA = "carm-kin/result/1"
 NOT_IN_FILE = ("angles_rad",)
-TOLERANCE = 1e-6
-"""How far the axes and rotations of a file may be from unit length and orthonormality."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +77,58 @@ class Residuals:
 
 
 @dataclass(frozen=True)
+class Rejection:
+    """Poses that were not used for one and the same reason, numbered as in the recording's file."""
+
+    reason: str
+    """In words, such as ``identical to the pose before``."""
+    count: int
+    indices: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class Outliers:
     """Poses that were not used, numbered as in the recording's file."""
 
     count: int
     indices: tuple[int, ...]
+    reasons: tuple[Rejection, ...] = ()
+    """Why, for as many of them as it is known; each pose stands under one reason at most."""
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """How well a fit predicts poses that it was not given. Numbers are None where it was refused.
+
+    Angles that nothing tells are fitted to each pose: they absorb ``6 poses - dof`` of the 6 residuals a pose.
+    """
+
+    label: str
+    """``fold 1`` ..., or ``overall``."""
+    sweeps: tuple[str, ...]
+    """Labels of the sweeps that were held out; empty where there are none."""
+    poses: int
+    """Held-out poses, those left out that the fit to all poses rejects."""
+    translation_rms_m: float | None
+    """Root mean square length of the position error."""
+    rotation_rms_rad: float | None
+    """Root mean square rotation angle of the orientation error."""
+    chi2_per_dof: float | None
+    """Squared errors over the noise of the fit, per degree of freedom: about 1 where the model holds."""
+    dof: float | None
+    """Residuals less the part that the fitted angles absorb."""
+    refusal: Note | None
+    """Why there is no prediction."""
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """Held-out pose errors of `carm_kin.cross_validate`."""
+
+    folds: int
+    overall: HeldOut
+    """Over the poses of all folds that were not refused; refused where all were."""
+    per_fold: tuple[HeldOut, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +195,8 @@ class CalibrationResult:
     provenance: Provenance
     angles_rad: Array | None = None
     """(N, 2) alpha and beta of every pose; not written to the file."""
+    cross_validation: CrossValidation | None = None
+    """None where it was not asked for."""
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the JSON file: mm and degrees, units in the names."""
@@ -188,53 +232,8 @@ class CalibrationResult:
                 raise InputError("'residuals' must be an object with 'overall' and 'per_sweep'")
             data |= {"residuals": residuals["overall"], "residuals_per_sweep": residuals["per_sweep"]}
             result = of_json_object(CalibrationResult, data, "", skipped=NOT_IN_FILE)
-            if problem := _contradiction(result):
+            if problem := contradiction(result):
                 raise InputError(problem)
         except InputError as error:
             raise InputError(str(error), file=path) from None
         return result
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a whole file or nothing. Raises InputError where the place cannot be written."""
-    if path.is_dir():
-        raise InputError("is a folder; give the name of a file", file=path)
-    temporary = path.with_name(f".{uuid.uuid4().hex}.part")
-    try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", file=path) from None
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-
-
-def _contradiction(result: CalibrationResult) -> str | None:
-    """What in a result that was read cannot be, in words."""
-    unit = [result.orbital_axis_sensor, *(placement.angular_axis_world for placement in result.placements)]
-    rigid = [result.T_sensor_carm, *(placement.T_world_torus for placement in result.placements)]
-    lengths = [result.major_radius_m, result.minor_radius_m, result.sigma.major_radius_m, result.sigma.minor_radius_m]
-    refused = result.refusal is not None
-    numbers = [result.offset_sensor_pivot_m, result.axis_non_orthogonality_rad, result.covariance, *unit, *rigid]
-    numbers += lengths
-    checks = {
-        "status must be 'ok' without a refusal or 'refused' with one": result.status
-        != ("refused" if refused else "ok"),
-        "a refused result must hold no numbers": refused and any(x is not None for x in numbers),
-        "an axis is no unit vector": any(x is not None and abs(x @ x - 1) > TOLERANCE for x in unit),
-        "a transform is no rigid motion": any(x is not None and not _is_rigid(x) for x in rigid),
-        "a length is below 0": any(x is not None and x < 0 for x in lengths),
-        "the numbers of poses, used poses and outliers contradict each other": not (
-            0 <= result.used <= result.poses and result.outliers.count == len(result.outliers.indices)
-        ),
-        "the covariance is not symmetric": result.covariance is not None
-        and not np.allclose(result.covariance.matrix, result.covariance.matrix.T, rtol=TOLERANCE),
-    }
-    return next((words for words, wrong in checks.items() if wrong), None)
-
-
-def _is_rigid(T: Array) -> bool:
-    R = T[:3, :3]
-    orthonormal = np.abs(R.T @ R - np.eye(3)).max() < TOLERANCE and np.linalg.det(R) > 0
-    return bool(orthonormal and (T[3] == (0, 0, 0, 1)).all())

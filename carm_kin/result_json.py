@@ -4,7 +4,9 @@ The unit of a number follows from the name of its field: ``_m`` and ``_rad`` bec
 a transform ``T_...`` has its translation in mm.
 """
 
+import contextlib
 import json
+import uuid
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from pathlib import Path
@@ -45,6 +47,21 @@ def read_object(path: Path) -> dict[str, Any]:
     if not isinstance(data, dict):
         raise InputError("holds no JSON object", file=path)
     return data
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a whole file or nothing. Raises InputError where the place cannot be written."""
+    if path.is_dir():
+        raise InputError("is a folder; give the name of a file", file=path)
+    temporary = path.with_name(f".{uuid.uuid4().hex}.part")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+    except OSError as error:
+        raise InputError(f"cannot be written: {error.strerror}", file=path) from None
+    finally:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def to_json_value(value: Any, name: str = "") -> Any:

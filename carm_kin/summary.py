@@ -3,7 +3,9 @@
 import numpy as np
 from rich.console import Console
 
-from carm_kin.result import CalibrationResult
+from carm_kin.check_result import Angle, Check, Length
+from carm_kin.result import CalibrationResult, HeldOut
+from solvers.estimate import Note
 from solvers.se3 import Array
 
 _NAME_WIDTH = 34
@@ -17,9 +19,52 @@ def show(result: CalibrationResult, console: Console) -> None:
     show_numbers(result, console)
     for line in _quality(result):
         console.print(f"  {line}", soft_wrap=True)
-    for warning in result.warnings:
+    if result.cross_validation:
+        for row in (result.cross_validation.overall, *result.cross_validation.per_fold):
+            console.print(f"  {f'held out, {row.label}':<{_NAME_WIDTH}}{_held_out(row)}", soft_wrap=True)
+    _show_warnings(result.warnings, console)
+
+
+def show_check(check: Check, console: Console) -> None:
+    """Print what was compared, what failed, and what this recording cannot show; the verdict is the caller's."""
+    compared = {
+        "offset": check.offset,
+        "orbital axis": check.orbital_axis,
+        "turn about the orbital axis": check.orbital_zero,
+        "major radius": check.major_radius,
+        "non-orthogonality": check.non_orthogonality,
+        "pose positions": check.pose_position,
+        "pose orientations": check.pose_rotation,
+    }
+    console.print(f"{check.used} of {check.poses} poses compared with the saved calibration")
+    for name, change in compared.items():
+        if change is not None:
+            console.print(f"  {name:<{_NAME_WIDTH}}{_change(change)}", soft_wrap=True)
+    for words in check.unseen:
+        console.print(f"  not seen: {words}", soft_wrap=True)
+    _show_warnings(check.warnings, console)
+
+
+def _show_warnings(warnings: tuple[Note, ...], console: Console) -> None:
+    for warning in warnings:
         console.print(f"warning ({warning.code}): ", style="yellow", end="")
         console.print(warning.message, soft_wrap=True)
+
+
+def _change(change: Length | Angle) -> str:
+    if isinstance(change, Length):
+        values, unit = (change.difference_m * 1e3, change.limit_m * 1e3), "mm"
+    else:
+        values, unit = (np.degrees(change.difference_rad), np.degrees(change.limit_rad)), "deg"
+    return f"{values[0]:>10.3f} {unit}, at most {values[1]:.3f}" + ("" if change.within else "  FAILED")
+
+
+def _held_out(row: HeldOut) -> str:
+    if row.refusal or not row.dof or row.chi2_per_dof is None:
+        return f"refused ({row.refusal.code}): {row.refusal.message}" if row.refusal else "no poses"
+    absorbed = 6 - row.dof / row.poses
+    errors = _both(row.translation_rms_m, row.rotation_rms_rad)
+    return f"{errors}, chi2/dof {row.chi2_per_dof:.2f}, angles absorb {absorbed:.1f} of 6"
 
 
 def show_numbers(result: CalibrationResult, console: Console) -> None:

@@ -22,7 +22,7 @@ DESIGN_KEYS = {
     "major_radius_signed_mm", "minor_radius_mm",
     "axis_non_orthogonality_deg", "orbital_axis_sensor", "placements", "T_sensor_carm", "orbital_referenced",
     "sigma", "covariance", "noise", "residuals", "poses", "used", "outliers", "observability", "warnings",
-    "refusal", "provenance",
+    "refusal", "provenance", "cross_validation",
 }  # fmt: skip
 
 
@@ -69,7 +69,7 @@ def test_the_file_has_the_keys_of_the_design(result):
     assert len(data["residuals"]["per_sweep"]) == 8
     assert data["covariance"].keys() == {"names", "matrix"}
     assert data["noise"].keys() == {"translation_mm", "rotation_deg", "estimated"}
-    assert data["outliers"].keys() == {"count", "indices"}
+    assert data["outliers"].keys() == {"count", "indices", "reasons"}
     assert data["observability"].keys() == {"singular_values", "condition", "unobservable"}
     assert data["placements"][0].keys() == {
         "label", "torus_center_world_mm", "angular_axis_world", "T_world_torus", "referenced",
@@ -291,3 +291,16 @@ def test_a_place_that_cannot_be_written(result, tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         result.to_json(tmp_path / "none" / "r.json")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_why_poses_were_rejected_survives_the_file_and_must_add_up(result, tmp_path):
+    path = tmp_path / "result.json"
+    frozen = r.Rejection("identical to the pose before", 2, (3, 4))
+    outliers = r.Outliers(3, (3, 4, 9), (frozen,))
+    listed = replace(result, used=result.poses - 3, outliers=outliers)
+    listed.to_json(path)
+    assert CalibrationResult.from_json(path).outliers == outliers
+    for wrong in (replace(frozen, count=1), replace(frozen, indices=(3, 5)), replace(frozen, indices=(3, 3))):
+        replace(listed, outliers=replace(outliers, reasons=(wrong,))).to_json(path)
+        with pytest.raises(InputError, match="the reasons of the outliers"):
+            CalibrationResult.from_json(path)
