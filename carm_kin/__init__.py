@@ -6,6 +6,8 @@ result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m
 """
 
 from carm_kin.calibrate import calibrate
+from carm_kin.check import check
+from carm_kin.cross_validate import cross_validate
 from carm_kin.errors import CarmKinError, InputError, MissingDependencyError
 from carm_kin.formats import read_recording, write_recording
 from carm_kin.recording import Recording
@@ -20,6 +22,8 @@ __all__ = [
     "MissingDependencyError",
     "Recording",
     "calibrate",
+    "check",
+    "cross_validate",
     "read_recording",
     "simulate",
     "write_recording",

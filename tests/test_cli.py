@@ -336,7 +336,7 @@ def test_ctrl_c_ends_a_long_run_at_once(tmp_path):
     protocol.write_text('[[sweep]]\nmoving = "orbital"\nfrom_deg = 0\nto_deg = 359\nstep_deg = 0.0004\n')
     command = [sys.executable, "-m", "carm_kin", "simulate", "mobile_skewed", "-o", str(tmp_path / "rec.csv")]
     running = subprocess.Popen([*command, "--protocol", str(protocol)], stderr=subprocess.PIPE, text=True)
-    time.sleep(2.0)
+    time.sleep(5.0)  # well past the imports, well before the end
     assert running.poll() is None, running.communicate()
     running.send_signal(signal.SIGINT)
     _, err = running.communicate(timeout=20)
