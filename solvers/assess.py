@@ -1,6 +1,7 @@
 """What an estimate is worth: residuals, noise, observability, and whether to refuse it.
 
 Every solver's chain is judged by the same likelihood, so that residuals can be compared.
+docs/refusals.md lists the codes.
 """
 
 from dataclasses import dataclass
@@ -8,51 +9,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from solvers import closed_form, kinematic
-from solvers.covariance import (
-    active_unknowns,
-    covariance_of,
-    marginal_covariance,
-    reported_jacobian,
-    scaled_spectrum,
-)
-from solvers.diagnose import base_moved_at
+from solvers.covariance import active_unknowns, covariance_of, marginal_covariance, scaled_spectrum
+from solvers.diagnose import LABELS, base_moved_at, causes_of
 from solvers.elimination import normal_equations
 from solvers.estimate import Covariance, Estimate, Note
 from solvers.likelihood import AngleModel, linearise
+from solvers.limits import Limits, misfit, uncertain
+from solvers.observability import AMBIGUOUS, in_words, joints_at_rest, thickness, turns_about_one_axis
 from solvers.problem import Problem
+from solvers.residuals import neighbour_correlation, residual_notes
 from solvers.se3 import Array
 from solvers.torus import Torus
 
-AMBIGUOUS = (
-    "two machines explain the poses equally well, for instance with the angular and the orbital axis exchanged; "
-    "say which joint moves in each sweep, or record one more sweep"
-)
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Where a result is refused."""
-
-    min_poses: int = 6
-    """Fewest poses."""
-    max_sigma_t_m: float = 0.010
-    """Estimated position noise above which the residuals are a misfit, not noise."""
-    max_sigma_r_rad: float = float(np.radians(2.0))
-    """Estimated orientation noise above which the residuals are a misfit."""
-    max_chi2_per_dof: float = 2.0
-    """Misfit above this, where the noise is given."""
-    max_offset_sigma_m: float = 0.020
-    """Largest one-sigma of the offset in any direction."""
-    min_relative_information: float = 1e-9
-    """Least eigenvalue of the scaled information that counts as information."""
-    max_rejected_share: float = 0.7
-    """Largest share of poses that may be rejected."""
-    silent_rejected_share: float = 0.02
-    """Share of rejected poses from which on a warning says so."""
-    max_moved_share: float = 0.3
-    """Largest share of poses that may belong to another place of the base."""
-    min_spread_sigmas: float = 4.0
-    """A joint moves if its angle spreads by more than so many standard deviations of one pose."""
+__all__ = ["Assessment", "Limits", "assess"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,13 +63,30 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
     active = active_unknowns(part, fix_non_orthogonality=torus.non_orthogonality == 0.0)
     values, vectors, scale = scaled_spectrum(at.H, active)
     covariance = covariance_of(torus, marginal_covariance(at.H, active))
-    still = _joints_at_rest(torus, angles, sigma, limits)
+    still = joints_at_rest(torus, angles, sigma, limits)
+    if _loud(sigma, limits):
+        still = turns_about_one_axis(part)
     null = vectors[:, values < limits.min_relative_information * values[-1]] / scale[:, None]
-    unobservable = (*still, *_in_words(torus, active, null))
+    unobservable = (*still, *in_words(torus, active, null))
     if not still and closed_form.ambiguous(part):
         unobservable += (AMBIGUOUS,)
     chi2_per_dof = at.cost / max(sum(at.redundancy) - active.sum(), 1.0)
-    moved_at = base_moved_at(problem, estimate)
+    asked = (
+        _loud(sigma, limits)
+        or 1 - used.mean() > limits.silent_rejected_share
+        or neighbour_correlation(part, residual) > limits.systematic_correlation
+        or chi2_per_dof > limits.max_chi2_per_dof
+    )
+    causes = causes_of(problem, estimate, limits) if asked and not still else ()
+    moved_at = None if causes else base_moved_at(problem, estimate)
+    refusal = (
+        _misfits(part, sigma, chi2_per_dof, still, limits)
+        or _too_long(torus, limits)
+        or _too_many_rejected(used, moved_at, limits)
+        or _undetermined(covariance, unobservable, limits)
+    )
+    fitted = estimate.covariance is not None and not refusal and not causes
+    clean = residual_notes(part, angles, residual, at.redundancy[0]) if fitted else ()
     return Assessment(
         angles=_spread(angles.T, used),
         position_residual=_spread(residual[:3].T, used),
@@ -110,10 +96,33 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         chi2_per_dof=float(chi2_per_dof),
         singular_values=values[::-1],
         unobservable=unobservable,
-        notes=_rejections(used, moved_at, limits),
-        refusal=_misfits(part, sigma, chi2_per_dof, still, limits)
-        or _too_many_rejected(used, moved_at, limits)
-        or _undetermined(covariance, unobservable, limits),
+        notes=(*_rejections(used, moved_at, limits), *causes, *clean),
+        refusal=_with_causes(refusal, causes, used, limits),
+    )
+
+
+def _loud(sigma: tuple[float, float], limits: Limits) -> bool:
+    return sigma[0] > limits.max_sigma_t_m or sigma[1] > limits.max_sigma_r_rad
+
+
+def _with_causes(refusal: Note | None, causes: tuple[Note, ...], used: np.ndarray, limits: Limits) -> Note | None:
+    """The refusal with its likely causes. Wrong sweeps that were rejected are no reason to refuse the others."""
+    left_out = all(note.code in LABELS for note in causes) and 1 - used.mean() > limits.silent_rejected_share
+    if not causes or (refusal is None and left_out):
+        return refusal
+    likely = "; or ".join(note.message for note in causes)
+    words = refusal.message if refusal and refusal.code == "misfit" else "the poses do not fit one C-arm as they stand"
+    return Note("misfit", f"{words}. Likely cause: {likely}")
+
+
+def _too_long(torus: Torus, limits: Limits) -> Note | None:
+    length = float(np.linalg.norm(torus.offset))
+    if length <= limits.max_length_m:
+        return None
+    return Note(
+        "misfit",
+        f"the sensor would stand {length:.3g} m from the pivot: is the unit of the position columns right "
+        "(millimetres read as metres)?",
     )
 
 
@@ -127,9 +136,13 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
     elif estimate.major_radius is None and estimate.unobservable:
         refusal = Note("unobservable", "; ".join(estimate.unobservable))
     elif sigma > limits.max_sigma_t_m:
-        refusal = _misfit(sigma, 0.0)
+        refusal = misfit(sigma, 0.0)
+    elif estimate.offset is None and thickness(part) < limits.min_spread_sigmas * sigma:
+        refusal = Note(
+            "unobservable", "the positions fill no surface beyond their noise: the arcs are too short for it"
+        )
     elif estimate.covariance and estimate.covariance.block("offset").size:
-        refusal = _uncertain(estimate.covariance, limits)
+        refusal = uncertain(estimate.covariance, limits)
     given = part.sigma_t
     return Assessment(
         angles=None,
@@ -179,48 +192,13 @@ def _too_many_rejected(used: np.ndarray, moved_at: int | None, limits: Limits) -
     return None
 
 
-def _joints_at_rest(torus: Torus, angles: Array, sigma: tuple[float, float], limits: Limits) -> tuple[str, ...]:
-    """Sentences for the joints whose angle does not spread beyond the noise of one pose."""
-    lever = max(float(np.linalg.norm(torus.offset)), 0.05)
-    noise = min(sigma[1], sigma[0] / lever) if min(sigma) > 0 else max(sigma)
-    moving = [np.sqrt(max(0.0, 1 - abs(np.exp(1j * a).mean()) ** 2)) > limits.min_spread_sigmas * noise for a in angles]
-    if moving == [True, True]:
-        return ()
-    if moving == [False, False]:
-        return ("no motion about either axis: both axes and the offset are unknown",)
-    name = "orbital" if moving[0] else "angular"
-    return (f"no {name} motion: the {name} axis and the offset along the other axis are unknown",)
-
-
-def _in_words(torus: Torus, active: np.ndarray, null: Array) -> tuple[str, ...]:
-    """Which reported quantities each null direction (columns of ``null``) moves."""
-    J, names = reported_jacobian(torus)
-    sentences = []
-    for x in null.T:
-        change = dict(zip(names, J[:, active] @ x, strict=True))
-        offset = np.array([change[f"offset_sensor_pivot_{k}"] for k in "xyz"])
-        along = abs(offset @ torus.orbital_axis)
-        moved = {
-            "the offset along the orbital axis": along,
-            "the offset across the orbital axis": np.linalg.norm(offset - torus.orbital_axis * along),
-            "the major radius": abs(change["major_radius"]),
-            "the torus centre": max(abs(v) for k, v in change.items() if k.startswith("torus_center")),
-            "the angular axis": max(abs(v) for k, v in change.items() if k.startswith("angular_axis")),
-            "the orbital axis": max(abs(v) for k, v in change.items() if k.startswith("orbital_axis")),
-            "the non-orthogonality": abs(change["axis_non_orthogonality"]),
-        }
-        largest = max(moved.values())
-        sentences.append("undetermined together: " + ", ".join(k for k, v in moved.items() if v > 0.1 * largest))
-    return tuple(sentences)
-
-
 def _misfits(
     part: Problem, sigma: tuple[float, float], chi2_per_dof: float, still: tuple[str, ...], limits: Limits
 ) -> Note | None:
     if still:
         return Note("one_axis_only", "; ".join(still))
-    if sigma[0] > limits.max_sigma_t_m or sigma[1] > limits.max_sigma_r_rad:
-        return _misfit(*sigma)
+    if _loud(sigma, limits):
+        return misfit(*sigma)
     given = part.sigma_t is not None and part.sigma_r is not None
     if given and chi2_per_dof > limits.max_chi2_per_dof:
         return Note("misfit", f"residuals exceed the given noise: chi-square per degree of freedom {chi2_per_dof:.1f}")
@@ -230,22 +208,4 @@ def _misfits(
 def _undetermined(covariance: Covariance, unobservable: tuple[str, ...], limits: Limits) -> Note | None:
     if unobservable:
         return Note("unobservable", "; ".join(unobservable))
-    return _uncertain(covariance, limits)
-
-
-def _uncertain(covariance: Covariance, limits: Limits) -> Note | None:
-    worst = float(np.sqrt(np.linalg.eigvalsh(covariance.block("offset"))[-1]))
-    if worst > limits.max_offset_sigma_m:
-        return Note(
-            "too_uncertain",
-            f"the arcs are too short for the noise: the offset is uncertain by {worst * 1e3:.0f} mm (one sigma)",
-        )
-    return None
-
-
-def _misfit(sigma_t: float, sigma_r: float) -> Note:
-    return Note(
-        "misfit",
-        f"no C-arm of two axes explains these poses: the residuals amount to a noise of {sigma_t * 1e3:.1f} mm and "
-        f"{np.degrees(sigma_r):.2f} deg; was the base moved, or is the unit or the direction of the poses wrong?",
-    )
+    return uncertain(covariance, limits)

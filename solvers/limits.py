@@ -1,0 +1,57 @@
+"""Where a result is refused, and the refusals that follow from one number each."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solvers.estimate import Covariance, Note
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Where a result is refused."""
+
+    min_poses: int = 6
+    """Fewest poses."""
+    max_sigma_t_m: float = 0.010
+    """Estimated position noise above which the residuals are a misfit, not noise."""
+    max_sigma_r_rad: float = float(np.radians(2.0))
+    """Estimated orientation noise above which the residuals are a misfit."""
+    max_chi2_per_dof: float = 2.0
+    """Misfit above this, where the noise is given."""
+    max_offset_sigma_m: float = 0.020
+    """Largest one-sigma of the offset in any direction."""
+    min_relative_information: float = 1e-9
+    """Least eigenvalue of the scaled information that counts as information."""
+    max_rejected_share: float = 0.7
+    """Largest share of poses that may be rejected."""
+    silent_rejected_share: float = 0.02
+    """Share of rejected poses from which on a warning says so."""
+    max_moved_share: float = 0.3
+    """Largest share of poses that may belong to another place of the base."""
+    min_spread_sigmas: float = 4.0
+    """A joint moves if its angle spreads by more than so many standard deviations of one pose."""
+    max_length_m: float = 20.0
+    """Distance of the sensor from the pivot above which the unit of the positions is wrong."""
+    systematic_correlation: float = 0.8
+    """Correlation of the residuals of neighbouring poses from which on a cause is looked for."""
+    min_gain: float = 5.0
+    """A cause is named if without it the residuals are at least so many times smaller."""
+
+
+def uncertain(covariance: Covariance, limits: Limits) -> Note | None:
+    worst = float(np.sqrt(np.linalg.eigvalsh(covariance.block("offset"))[-1]))
+    if worst > limits.max_offset_sigma_m:
+        return Note(
+            "too_uncertain",
+            f"the arcs are too short for the noise: the offset is uncertain by {worst * 1e3:.0f} mm (one sigma)",
+        )
+    return None
+
+
+def misfit(sigma_t: float, sigma_r: float) -> Note:
+    return Note(
+        "misfit",
+        f"no C-arm of two axes explains these poses: the residuals amount to a noise of {sigma_t * 1e3:.1f} mm and "
+        f"{np.degrees(sigma_r):.2f} deg; was the base moved, or is the unit or the direction of the poses wrong?",
+    )
