@@ -126,7 +126,7 @@ def _residuals_per_sweep(recording: Recording, assessment: Assessment) -> tuple[
         poses = sweep.poses[np.isfinite(assessment.position_residual[sweep.poses, 0])]
         if not poses.size:
             continue
-        square = (assessment.position_residual[poses] ** 2).sum() / assessment.sigma_t**2
+        square = (assessment.position_residual[poses] ** 2).sum() / max(assessment.sigma_t, 1e-12) ** 2
         dof = assessment.position_residual.shape[1] * len(poses)
         if assessment.rotation_residual is not None and assessment.sigma_r:
             square += (assessment.rotation_residual[poses] ** 2).sum() / assessment.sigma_r**2
