@@ -10,19 +10,25 @@
 docs/estimation.md derives both steps.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from solvers.estimate import Estimate
 from solvers.problem import ANGULAR, ORBITAL, Problem
-from solvers.se3 import Array, orthonormal_complement
+from solvers.se3 import Array, orthonormal_complement, skew
 from solvers.torus import Axes
 
 SAME_AXIS = 0.99
 """Cosine above which two candidates have the same axis."""
 RIVAL = 2.0
 """A candidate of less than this times the best one's energy explains the poses as well."""
+
+BLOCK = 1024
+"""Poses whose moments are taken at a time."""
+LEAST_GAIN = 1e-8
+"""A step that changes the energy by a smaller part of it ends the refinement."""
 
 
 @dataclass(frozen=True)
@@ -50,24 +56,59 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
 
 def axes_of(problem: Problem, options: Options = Options()) -> Axes:
     """The two axes, the offset and the radius, before any zero is given to the angles."""
-    R, placement, P = problem.rotations, problem.placement, problem.placements
-    M = _moments(R, placement, P)
-    candidates = _directions(M, options)
-    best = np.argmin(axes_energy(M, *candidates) + _unrest(problem, *candidates[:2]))
-    n, a, s = candidates[0][best], candidates[1][best], float(candidates[2][best])
+    P = problem.placements
+    M = _moments(problem)
+    n, a, s = _best(problem, M, *_directions(M, options))
     if P > 1:
         n, s = _consistent_signs(problem, n, a, s)
         s = 0.0 if options.fix_non_orthogonality else s
         n, a, s = (x[0] for x in refine_axes(M, n[None], a[None], np.atleast_1d(s), options.fix_non_orthogonality))
-    z = _pivot_directions(R, n[placement], a)
-    center, radius, offset = _locus(problem, z, shared_radius=True)
+    return _with_locus(problem, n, a, float(s))
+
+
+def refit(problem: Problem, axes: Axes) -> Axes:
+    """The axes that a few steps from ``axes`` reach, epsilon free, for poses of one placement."""
+    M = _moments(problem)
+    sine = np.sin([axes.non_orthogonality])
+    n, a, s = refine_axes(M, axes.angular_axis[None], axes.orbital_axis[None], sine, fixed=False, steps=4)
+    return _with_locus(problem, n[0], a[0], float(s[0]))
+
+
+def _with_locus(problem: Problem, n: Array, a: Array, s: float) -> Axes:
+    center, radius, offset = _locus(problem, n, a, shared_radius=True)
     return Axes(center, n, float(radius[0]), float(np.arcsin(np.clip(s, -1, 1))), offset, a)
 
 
-def _moments(R: Array, placement: np.ndarray, P: int) -> Array:
+def _best(problem: Problem, M: Array, n: Array, a: Array, s: Array) -> tuple[Array, Array, float]:
+    """The candidate of least energy, its unrest in sweeps included; it is computed where it can decide."""
+    energy = axes_energy(M, n, a, s)
+    first = int(np.argmin(energy))
+    bound = energy[first] + _unrest(problem, n[[first]], a[[first]])[0]
+    rivals = np.flatnonzero(energy <= bound)
+    best = rivals[np.argmin(energy[rivals] + _unrest(problem, n[rivals], a[rivals]))] if len(rivals) > 1 else first
+    return n[best], a[best], float(s[best])
+
+
+def _blocks(problem: Problem, placement: int) -> Iterator[tuple[Array, Array]]:
+    """vec(R_i) (n, 9) and p_i (n, 3) of the poses of a placement, in blocks that stay in the processor's cache."""
+    R, p = problem.rotations.reshape(-1, 9), problem.p_world_sensor
+    poses = None if problem.placements == 1 else np.flatnonzero(problem.placement == placement)
+    n = len(problem) if poses is None else len(poses)
+    for start in range(0, n, BLOCK):
+        here = slice(start, start + BLOCK) if poses is None else poses[start : start + BLOCK]
+        yield R[here], p[here]
+
+
+def _moments(problem: Problem) -> Array:
     """M (P, 10, 10): the sum of v vT over the poses of each placement."""
-    v = np.concatenate([R.reshape(-1, 9), np.ones((len(R), 1))], axis=1)
-    return np.stack([v[placement == p].T @ v[placement == p] for p in range(P)]) if P > 1 else (v.T @ v)[None]
+    M = np.zeros((problem.placements, 10, 10))
+    for k in range(problem.placements):
+        for R, _ in _blocks(problem, k):
+            M[k, :9, :9] += R.T @ R
+            M[k, :9, 9] += R.sum(axis=0)
+            M[k, 9, 9] += len(R)
+        M[k, 9, :9] = M[k, :9, 9]
+    return M
 
 
 def _directions(M: Array, options: Options) -> tuple[Array, Array, Array]:
@@ -86,7 +127,7 @@ def ambiguous(problem: Problem, options: Options = Options()) -> bool:
 
     One orbital and one angular sweep are also those of a machine with its axes exchanged.
     """
-    M = _moments(problem.rotations, problem.placement, problem.placements)
+    M = _moments(problem)
     n, a, s = _directions(M, options)
     energy = axes_energy(M, n, a, s) + _unrest(problem, n, a)
     best = int(np.argmin(energy))
@@ -99,11 +140,12 @@ def _unrest(problem: Problem, n: Array, a: Array) -> Array:
     in orbital sweeps and of R_iT n in angular ones."""
     total = np.zeros(len(a))
     for joint in (ANGULAR, ORBITAL):
-        for poses in problem.sweeps(joint):
-            R = problem.rotations[poses]
-            fixed = n[:, problem.placement[poses[0]]]
-            turned = np.einsum("nij,bj->bni", R, a) if joint == ANGULAR else np.einsum("nij,bi->bnj", R, fixed)
-            total += ((turned - turned.mean(axis=1, keepdims=True)) ** 2).sum(axis=(1, 2))
+        poses = np.flatnonzero((problem.held[:, joint] >= 0) & (problem.held[:, 1 - joint] < 0))
+        R, sweep = problem.rotations[poses], problem.held[poses, joint]
+        for b in range(len(a)):
+            turned = R @ a[b] if joint == ANGULAR else np.einsum("nij,ni->nj", R, n[b][problem.placement[poses]])
+            mean = np.stack([np.bincount(sweep, turned[:, k]) for k in range(3)]) / np.maximum(np.bincount(sweep), 1)
+            total[b] += ((turned - mean.T[sweep]) ** 2).sum()
     return total
 
 
@@ -125,7 +167,7 @@ def axes_energy(M: Array, n: Array, a: Array, s: Array) -> Array:
     return (k * (M @ k[..., None])[..., 0]).sum(axis=(1, 2))
 
 
-def refine_axes(M: Array, n: Array, a: Array, s: Array, fixed: bool, steps: int = 12) -> tuple[Array, Array, Array]:
+def refine_axes(M: Array, n: Array, a: Array, s: Array, fixed: bool, steps: int = 8) -> tuple[Array, Array, Array]:
     """Damped Gauss-Newton on `axes_energy` over unit n (B, P, 3), unit a (B, 3) and s (B,).
 
     Its cost does not depend on the number of poses; B starts, or B sets of poses, advance together.
@@ -147,10 +189,11 @@ def refine_axes(M: Array, n: Array, a: Array, s: Array, fixed: bool, steps: int 
         s_new = s if fixed else s + step[:, -1, 0]
         cost_new = axes_energy(M, n_new, a_new, s_new)
         better = cost_new <= cost
+        settled = (np.abs(step).max(axis=(1, 2)) < 1e-10) | (np.abs(cost - cost_new) <= LEAST_GAIN * cost)
         n, a = np.where(better[:, None, None], n_new, n), np.where(better[:, None], a_new, a)
         s, cost = np.where(better, s_new, s), np.where(better, cost_new, cost)
         damping = np.where(better, damping * 0.03, damping * 30)
-        if np.abs(step).max() < 1e-13:
+        if settled.all():
             break
     return n, a, s
 
@@ -173,19 +216,12 @@ def _unit(v: Array) -> Array:
     return v / np.linalg.norm(v, axis=-1, keepdims=True)
 
 
-def _pivot_directions(R: Array, n: Array, a: Array) -> Array:
-    """z_i (N, 3): the direction from the torus centre to the pivot of each pose, with n (N, 3)."""
-    z = np.cross(n, R @ a)
-    return _unit(z)
-
-
 def _consistent_signs(problem: Problem, n: Array, a: Array, s: float) -> tuple[Array, float]:
     """Directions of n with which every placement has the same sign of R and of sin(epsilon).
 
     R and, times the length of the offset, sin(epsilon) vote together, since either may be zero.
     """
-    z = _pivot_directions(problem.rotations, n[problem.placement], a)
-    _, radius, offset = _locus(problem, z, shared_radius=False)
+    _, radius, offset = _locus(problem, n, a, shared_radius=False)
     y = np.einsum("nij,j->ni", problem.rotations, a)
     skewness = np.array(
         [-(y[problem.placement == p] @ n[p]).mean() * np.linalg.norm(offset) for p in range(problem.placements)]
@@ -194,25 +230,42 @@ def _consistent_signs(problem: Problem, n: Array, a: Array, s: float) -> tuple[A
     return n * flip[:, None], float((skewness * flip).mean() / np.linalg.norm(offset))
 
 
-def _locus(problem: Problem, z: Array, shared_radius: bool) -> tuple[Array, Array, Array]:
-    """Least squares of ``p_i = c_p + R z_i - R_i t``: c (P, 3), R (1,) or (P,), t (3,).
+def _locus(problem: Problem, n: Array, a: Array, shared_radius: bool) -> tuple[Array, Array, Array]:
+    """Least squares of ``p_i = c_p + R z_i - R_i t`` for n (P, 3) and a (3,): c (P, 3), R (1,) or (P,), t (3,).
 
-    The centres are eliminated by centring each placement, which also keeps full precision far from
-    the world's origin.
+    It needs the second moments of [vec(R_i), z_i, p_i] only. The centres are eliminated by centring each
+    placement, which also keeps full precision far from the world's origin.
     """
-    p, R, P = problem.p_world_sensor, problem.rotations, problem.placements
-    members = [slice(None)] if P == 1 else [np.flatnonzero(problem.placement == k) for k in range(P)]
-    means = [(p[i].mean(0), R[i].mean(0), z[i].mean(0)) for i in members]
+    P = problem.placements
     K = 1 if shared_radius else P
-    H, g = np.zeros((3 + K, 3 + K)), np.zeros(3 + K)
-    for k, (i, (mp, mR, mz)) in enumerate(zip(members, means, strict=True)):
+    H, g, m = np.zeros((3 + K, 3 + K)), np.zeros(3 + K), np.empty((P, 15))
+    for k in range(P):
+        m[k], S = _locus_moments(problem, k, n[k], a)
         column = 3 + (0 if shared_radius else k)
-        A = np.concatenate([(mR - R[i]), (z[i] - mz)[:, :, None]], axis=2).reshape(-1, 4)
-        index = np.array([0, 1, 2, column])
-        H[np.ix_(index, index)] += A.T @ A
-        g[index] += A.T @ (p[i] - mp).ravel()
+        on_z, on_p = (np.einsum("rjr->j", S[:9, part].reshape(3, 3, 3)) for part in (slice(9, 12), slice(12, 15)))
+        H[:3, :3] += np.einsum("rjrk->jk", S[:9, :9].reshape(3, 3, 3, 3))
+        H[:3, column] -= on_z
+        H[column, :3] -= on_z
+        H[column, column] += np.trace(S[9:12, 9:12])
+        g[:3] -= on_p
+        g[column] += np.trace(S[9:12, 12:])
     x = np.asarray(np.linalg.lstsq(H, g, rcond=1e-15)[0], dtype=float)
     t, radius = x[:3], x[3:]
-    per_placement = np.broadcast_to(radius, (P,))
-    center = np.stack([mp + mR @ t - r * mz for (mp, mR, mz), r in zip(means, per_placement, strict=True)])
+    center = m[:, 12:] + m[:, :9].reshape(-1, 3, 3) @ t - radius[:, None] * m[:, 9:12]
     return center, radius, t
+
+
+def _locus_moments(problem: Problem, placement: int, n: Array, a: Array) -> tuple[Array, Array]:
+    """Mean (15,) and scatter about it (15, 15) of [vec(R_i), z_i, p_i], with z_i along n x R_i a from the torus
+    centre to the pivot. Summed about the first block's mean."""
+    across = np.kron(skew(n), a).T
+    total, S, count, about = np.zeros(15), np.zeros((15, 15)), 0, None
+    for R, p in _blocks(problem, placement):
+        w = np.concatenate([R, _unit(R @ across), p], axis=1)
+        about = w.mean(axis=0) if about is None else about
+        w -= about
+        total += w.sum(axis=0)
+        S += w.T @ w
+        count += len(R)
+    mean = total / max(count, 1)
+    return (0.0 if about is None else about) + mean, S - count * np.outer(mean, mean)

@@ -63,7 +63,7 @@ class _Sums:
         self.distance2 = np.empty(n)
         self.squares = np.zeros(2)
         self.poses = self.free = 0
-        self.reading_cost = self.absorbed_position = self.absorbed_readings = 0.0
+        self.reading_cost = self.absorbed_position = self.absorbed_readings = self.exchanged = 0.0
 
     def add(
         self,
@@ -77,16 +77,19 @@ class _Sums:
     ) -> None:
         """Add a block of poses."""
         B, A = _weighted(line, model, sigma)
-        self.distance2[here] = (B[:, RESIDUAL] ** 2).sum(axis=0)
         error = model.reading_error(angles)
         C = np.stack([np.einsum("rn,rkn->kn", A[:, j], B) for j in (0, 1)])
         C[:, RESIDUAL] += model.precision * error
-        G_inverse = _inverse_blocks(A, model)
+        own = _blocks_of(A[:3]), _blocks_of(A[3:])
+        G_inverse = _inverse_blocks(own[0] + own[1], model)
         X = self.response[..., here]
-        X[0] = G_inverse[0, 0] * C[0] + G_inverse[0, 1] * C[1]
-        X[1] = G_inverse[1, 0] * C[0] + G_inverse[1, 1] * C[1]
+        X[0] = G_inverse[0] * C[0] + G_inverse[1] * C[1]
+        X[1] = G_inverse[1] * C[0] + G_inverse[2] * C[1]
+        left = B[:, RESIDUAL] - A[:, 0] * X[0, RESIDUAL] - A[:, 1] * X[1, RESIDUAL]
+        self.distance2[here] = (left**2).sum(axis=0)
         if used is not None:
             B, C, A, error = (x * used for x in (B, C, A, error))
+            own = own[0] * used, own[1] * used
         U = B[:3] - A[:3, 0, None] * X[0] - A[:3, 1, None] * X[1]
         self.poses += len(part) if used is None else int(used.sum())
         self.free += int((model.free if used is None else model.free * used).sum())
@@ -109,9 +112,9 @@ class _Sums:
 
         square = (B[:, RESIDUAL].reshape(len(sigma), -1) ** 2).sum(axis=1) * np.square(sigma)
         self.squares[: len(sigma)] += square
-        crossed = 2 * (A[:3, 0] * A[:3, 1]).sum(axis=0) * G_inverse[0, 1]
-        own = (A[:3] ** 2).sum(axis=0)
-        self.absorbed_position += float((own[0] * G_inverse[0, 0] + own[1] * G_inverse[1, 1] + crossed).sum())
+        absorbed, exchanged = _traces(G_inverse, *own)
+        self.absorbed_position += absorbed
+        self.exchanged += exchanged
 
     def _readings(
         self, X: Array, G_inverse: Array, error: Array, model: AngleModel, used: np.ndarray | None
@@ -121,7 +124,7 @@ class _Sums:
             return None
         known = model.precision if used is None else model.precision * used
         self.reading_cost += float((known * error**2).sum())
-        self.absorbed_readings += float((known * G_inverse[[0, 1], [0, 1]]).sum())
+        self.absorbed_readings += float((known * G_inverse[[0, 2]]).sum())
         read = np.sqrt(known)
         V = -read[:, None] * X
         V[:, RESIDUAL] += read * error
@@ -156,6 +159,7 @@ class _Sums:
             position_information=M[:-1, :-1],
             reading_information=L[:-1, :-1],
             redundancy=(3 * self.poses - absorbed, float(3 * self.poses - rotation)),
+            exchanged=self.exchanged,
             distance2=self.distance2,
             squares=(float(self.squares[0]), float(self.squares[1])),
             reading_cost=self.reading_cost,
@@ -203,15 +207,31 @@ def _moment(left: Array, right: Array) -> Array:
     return np.matmul(left, right.swapaxes(1, 2)).sum(axis=0)
 
 
-def _inverse_blocks(A: Array, model: AngleModel) -> Array:
-    """inv(G) (2, 2, N); the rows of angles that are not free are those of the identity. A ridge of 1e-12
-    keeps poses in which both angles move the sensor alike from amplifying rounding."""
-    a = (A[:, 0] ** 2).sum(axis=0) + model.precision[0] + ~model.free[0]
-    d = (A[:, 1] ** 2).sum(axis=0) + model.precision[1] + ~model.free[1]
-    b = (A[:, 0] * A[:, 1]).sum(axis=0)
+def _blocks_of(A: Array) -> Array:
+    """ATA of every pose from its rows A (rows, 2, N), as its entries 00, 01 and 11 (3, N)."""
+    return np.stack([(A[:, 0] ** 2).sum(axis=0), (A[:, 0] * A[:, 1]).sum(axis=0), (A[:, 1] ** 2).sum(axis=0)])
+
+
+def _inverse_blocks(G: Array, model: AngleModel) -> Array:
+    """inv(G + readings), entries 00, 01 and 11 (3, N) as those of G; the rows of angles that are not free are those
+    of the identity. A ridge of 1e-12 keeps rounding small where both angles of a pose move the sensor alike."""
+    a, d = G[[0, 2]] + model.precision + ~model.free
+    b = G[1]
     ridge = 1e-12 * (a + d) + np.finfo(float).tiny
     a, d = a + ridge, d + ridge
-    return np.array([[d, -b], [-b, a]]) / (a * d - b * b)
+    return np.stack([d, -b, a]) / (a * d - b * b)
+
+
+def _traces(G_inverse: Array, position: Array, rotation: Array) -> tuple[float, float]:
+    """Sums over the poses of tr inv(G) P and tr inv(G) P inv(G) R, with P and R the blocks (3, N) of both kinds."""
+
+    def product(block: Array) -> tuple[Array, ...]:
+        (g, h, k), (a, b, d) = G_inverse, block
+        return g * a + h * b, g * b + h * d, h * a + k * b, h * b + k * d
+
+    p, r = product(position), product(rotation)
+    exchanged = p[0] * r[0] + p[1] * r[2] + p[2] * r[1] + p[3] * r[3]
+    return float((p[0] + p[3]).sum()), float(exchanged.sum())
 
 
 def _assembled(moment: Array, columns: np.ndarray, size: int) -> Array:

@@ -24,6 +24,8 @@ SIGMA_FLOOR = 1e-7
 """Least noise assumed, m and rad: well below any tracker's resolution, far above rounding."""
 OUTLIER_PROBABILITY = 1e-5
 """Share of sound poses that the noise alone sends beyond the bound: 5.3 to 5.9 sigma, by degrees of freedom."""
+LEAST_CHANGE = 0.1
+"""Ratio of a variance to the one before below which both are taken from their own residuals alone."""
 COARSE = 1000
 """Poses on which the fit settles before all take part."""
 
@@ -43,8 +45,8 @@ class Options:
     """Seed of the samples from which the agreeing poses are found."""
     max_iterations: int = field(default=40, metadata={"min": 1, "max": 10_000})
     """Steps after which the solver gives up and says so."""
-    tolerance: float = 1e-3
-    """A step shorter than this many standard deviations ends the iteration."""
+    tolerance: float = 1e-2
+    """A step shorter than this many standard deviations is the last; what it leaves is far smaller still."""
     sigma_tolerance: float = 3e-3
     """So does, together with it, a relative change of the estimated noise below this."""
 
@@ -102,25 +104,25 @@ def refine(
     angles = model.start(torus, problem, used)
     sigma = sigma_given or first_sigma(problem, torus, angles, used)
     at = normal_equations(torus, angles, problem, model, sigma, used)
-    damping, converged, changed, iteration = 0.0, False, False, 0
+    damping, converged, iteration = 0.0, False, 0
     trusted_from = 3 if sigma_given is None else 1
     while not converged and iteration < options.max_iterations:
         iteration += 1
-        C = marginal_covariance(at.H, active)
         step = _step(at, active, damping)
-        new_sigma = next_sigma(problem, at, C, step)
-        trial, trial_angles = retract(torus, step), angles + at.angle_step(step)
-        there = normal_equations(trial, trial_angles, problem, model, new_sigma, used)
-        if not changed and not there.cost <= at.cost_at(new_sigma) * (1 + 1e-6) + 1e-6:
-            damping = max(10 * damping, 1e-6)
-            continue
+        new_sigma = next_sigma(problem, at, marginal_covariance(at.H, active), step)
         settled = np.allclose(new_sigma, sigma, rtol=options.sigma_tolerance)
-        believed = there.distance2 <= bound if settled or iteration >= trusted_from else used
-        steady = settled and not changed and damping == 0
+        believed = at.distance2 <= bound if settled or iteration >= trusted_from else used
         changed = bool((believed != used).any())
-        converged = steady and not changed and step @ at.H @ step < options.tolerance**2
-        torus, angles, sigma, used, at = trial, trial_angles, new_sigma, believed, there
-        damping = damping * 0.1 if damping > 1e-8 else 0.0
+        trial, trial_angles = retract(torus, step), angles + at.angle_step(step)
+        converged = settled and not changed and damping == 0 and step @ at.H @ step < options.tolerance**2
+        if not converged:
+            there = normal_equations(trial, trial_angles, problem, model, new_sigma, believed)
+            if not changed and not there.cost <= at.cost_at(new_sigma) * (1 + 1e-6) + 1e-6:
+                damping = max(10 * damping, 1e-6)
+                continue
+            at, used = there, believed
+            damping = damping * 0.1 if damping > 1e-8 else 0.0
+        torus, angles, sigma = trial, trial_angles, new_sigma
     return Estimate.of_torus(
         "kinematic",
         torus,
@@ -157,12 +159,25 @@ def first_sigma(problem: Problem, torus: Torus, angles: Array, used: np.ndarray 
 
 
 def next_sigma(problem: Problem, at: Reduced, C: Array, step: Array) -> tuple[float, float]:
-    """Both noises: squared residuals after the step over their redundancy, of which the machine's unknowns
-    take shares in proportion to the information that they draw from each kind."""
+    """Both noises from the squared residuals after the step and their redundancies, of which the machine's unknowns
+    take shares in proportion to the information that they draw from each kind.
+
+    Helmert's equations: of the residuals of one kind a part stems from the other's noise, since the angles weigh both.
+    """
     rotation_information = at.H - at.position_information - at.reading_information
     drawn = np.array([(C * at.position_information).sum(), (C * rotation_information).sum()])
     left = np.maximum(np.array(at.redundancy) - drawn, 1.0)
-    return _given_or(problem, np.sqrt(np.array(at.squares_after(step)) / left))
+    squares = np.array(at.squares_after(step))
+    alone = squares / left
+    if len(at.sigma) == 1:
+        return _given_or(problem, np.sqrt(alone))
+    before = np.square(at.sigma)
+    known = [s is not None for s in (problem.sigma_t, problem.sigma_r)]
+    A = np.diag(left - at.exchanged) + at.exchanged * (1 - np.eye(2))
+    A[known] = np.eye(2)[known]
+    ratio = np.linalg.solve(A, np.where(known, 1.0, squares / before))
+    variance = np.where((ratio > LEAST_CHANGE).all(), ratio * before, alone)
+    return _given_or(problem, np.sqrt(variance))
 
 
 def _given_or(problem: Problem, estimated: Array) -> tuple[float, float]:

@@ -112,27 +112,26 @@ class Linearisation:
     """(6, 14, N) derivative by the unknowns that the pose sees."""
 
 
-def _rotation(epsilon: float, alpha: Array, beta: Array) -> Array:
-    """Q = Rx(alpha) Rz(epsilon) Ry(beta) as (3, 3, N)."""
-    ca, sa, cb, sb = np.cos(alpha), np.sin(alpha), np.cos(beta), np.sin(beta)
+def _rotation(epsilon: float, sine: Array, cosine: Array) -> Array:
+    """Q = Rx(alpha) Rz(epsilon) Ry(beta) as (3, 3, N), from the sines and cosines (2, N) of both angles."""
+    (sa, sb), (ca, cb) = sine, cosine
     ce, se = np.cos(epsilon), np.sin(epsilon)
-    Q = np.empty((3, 3, len(alpha)))
+    Q = np.empty((3, 3, len(sa)))
     Q[0] = ce * cb, np.full_like(ca, -se), ce * sb
     Q[1] = ca * se * cb + sa * sb, ca * ce, ca * se * sb - sa * cb
     Q[2] = sa * se * cb - ca * sb, sa * ce, sa * se * sb + ca * cb
     return Q
 
 
-def _position_residual(torus: Torus, angles: Array, problem: Problem, Q: Array) -> Array:
-    """(3, N) observed less predicted position in the carm frame, m."""
+def _position_residual(torus: Torus, m: tuple[Array, Array], problem: Problem, Q: Array) -> Array:
+    """(3, N) observed less predicted position in the carm frame, m; ``m`` is the pivot's y and z in the torus frame."""
     p = problem.p_world_sensor - torus.center[problem.placement]
     R_world_torus = torus.T_world_torus[:, :3, :3]
     if len(R_world_torus) == 1:
         p_torus = (p @ R_world_torus[0]).T
     else:
         p_torus = np.einsum("nji,nj->in", R_world_torus[problem.placement], p)
-    p_torus[1] += torus.major_radius * np.sin(angles[0])
-    p_torus[2] -= torus.major_radius * np.cos(angles[0])
+    p_torus[1:] -= m
     return np.einsum("jin,jn->in", Q, p_torus) - inverse(torus.T_sensor_carm)[:3, 3, None]
 
 
@@ -141,7 +140,7 @@ def _rotation_residual(torus: Torus, problem: Problem, Q: Array) -> Array:
     R_world_torus, R_sensor_carm = torus.T_world_torus[:, :3, :3], torus.T_sensor_carm[:3, :3]
     flat = problem.rotations.reshape(-1, 9)
     if len(R_world_torus) == 1:
-        observed = np.kron(R_world_torus[0].T, R_sensor_carm.T) @ flat.T
+        observed = np.einsum("ji,lk->ikjl", R_world_torus[0], R_sensor_carm).reshape(9, 9) @ flat.T
     else:
         turned = np.einsum("nji,njk->nik", R_world_torus[problem.placement], problem.rotations)
         observed = np.kron(np.eye(3), R_sensor_carm.T) @ turned.reshape(-1, 9).T
@@ -156,29 +155,28 @@ def linearise(torus: Torus, angles: Array, problem: Problem) -> Linearisation:
     Each unknown moves the sensor by a twist (v, w) of the carm, which changes the prediction by
     v + w x q and w, with q the sensor in the carm frame.
     """
-    Q = _rotation(torus.non_orthogonality, *angles)
+    sine, cosine = np.sin(angles), np.cos(angles)
+    Q = _rotation(torus.non_orthogonality, sine, cosine)
     q = inverse(torus.T_sensor_carm)[:3, 3]
     n = len(problem)
-    J = np.zeros((6, LOCAL, n))
-    m_y, m_z = -torus.major_radius * np.sin(angles[0]), torus.major_radius * np.cos(angles[0])
-    J[:3, 0:3] = Q.swapaxes(0, 1)
-    J[3:, 3:6] = Q.swapaxes(0, 1)
-    J[:3, 3] = m_y * Q[2] - m_z * Q[1]
-    J[:3, 4] = m_z * Q[0]
-    J[:3, 5] = -m_y * Q[0]
-    radial = -np.sin(angles[1]), np.zeros(n), np.cos(angles[1])
-    J[:3, 6] = radial
-    J[3:, 7] = radial
-    J[:3, 3:6] += _cross(J[3:, 3:6], q)
-    J[:3, 7] += _cross(J[3:, 7], q)
-    J[:3, 8:11] = J[3:, 11:14] = -np.eye(3)[:, :, None]
-    J[:3, 11:14] = np.cross(q, np.eye(3)).T[:, :, None]
+    m_y, m_z = -torus.major_radius * sine[0], torus.major_radius * cosine[0]
+    J = np.empty((6, LOCAL, n))
+    turned = J[3:, 3:6]
+    np.negative(Q.swapaxes(0, 1), out=turned)
+    J[:3, 0:3] = turned
+    J[3:, 0:3] = J[3:, 6] = J[3:, 8:11] = 0
+    J[:3, 3:6] = _cross(turned, q)
+    J[:3, 3] += m_z * Q[1] - m_y * Q[2]
+    J[:3, 4] -= m_z * Q[0]
+    J[:3, 5] += m_y * Q[0]
+    J[:3, 6] = J[3:, 7] = sine[1], np.zeros(n), -cosine[1]
+    J[:3, 7] = _cross(J[3:, 7], q)
+    J[:3, 8:11] = J[3:, 11:14] = np.eye(3)[:, :, None]
+    J[:3, 11:14] = np.cross(np.eye(3), q).T[:, :, None]
     A = np.empty((6, 2, n))
     A[:, 0] = J[:, 3]
-    A[:, 1] = np.array([q[2], 0, -q[0], 0, 1, 0])[:, None]
-    np.negative(J, out=J)
-    np.negative(A, out=A)
-    position = _position_residual(torus, angles, problem, Q)
+    A[:, 1] = np.array([-q[2], 0, q[0], 0, -1, 0])[:, None]
+    position = _position_residual(torus, (m_y, m_z), problem, Q)
     if problem.R_world_sensor is None:
         return Linearisation(position, A[:3], J[:3])
     return Linearisation(np.concatenate([position, _rotation_residual(torus, problem, Q)]), A, J)

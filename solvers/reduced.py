@@ -26,13 +26,15 @@ class Reduced:
     redundancy: tuple[float, float]
     """Number of position and of rotation residuals, each less the part that the angles absorb
     (without orientations the second is without meaning)."""
+    exchanged: float
+    """How much of one noise the angles of single poses carry into the residuals of the other (docs/estimation.md, 4)."""
     squares: tuple[float, float]
     """Weighted sum of the squared position (m^2) and rotation (rad^2) residuals, not scaled by sigma."""
     reading_cost: float
     """The readings' part of the sum of squares, scaled."""
     sigma: tuple[float, ...]
     distance2: Array
-    """(N,) squared Mahalanobis distance of each pose's residual, at the point of linearisation."""
+    """(N,) squared Mahalanobis distance of each pose's residual once its own free angles are fitted."""
     _position: tuple[Array, float]
     """Gradient and constant that complete `position_information` to a quadratic form, and"""
     _reading: tuple[Array, float]

@@ -14,12 +14,13 @@ import numpy as np
 from solvers import closed_form
 from solvers.problem import Problem
 from solvers.se3 import Array, skew
+from solvers.torus import Axes
 
 SAMPLE = 5
 """Poses of one hypothesis; four determine the axes."""
 STARTS = 6
 """Orbital axes from which each hypothesis starts."""
-BATCHES = (16, *(64,) * 60)
+BATCHES = (8, *(64,) * 60)
 """Hypotheses that are solved together; with clean data the first batch is enough."""
 SCORED = 600
 """Poses on which hypotheses are ranked and the best is refitted."""
@@ -56,6 +57,19 @@ class Hypotheses:
     """(B, 3), m."""
     orbital_axis: Array
     """(B, 3)."""
+
+    @staticmethod
+    def of(axes: Axes) -> "Hypotheses":
+        """One hypothesis: the axes of a single placement."""
+        radius, sine = np.array([axes.major_radius]), np.sin([axes.non_orthogonality])
+        return Hypotheses(axes.center, axes.angular_axis, radius, sine, axes.offset[None], axes.orbital_axis[None])
+
+    def axes(self, i: int) -> Axes:
+        """Hypothesis i."""
+        one = slice(i, i + 1)
+        epsilon = float(np.arcsin(self.sine[i]))
+        radius = float(self.major_radius[i])
+        return Axes(self.center[one], self.angular_axis[one], radius, epsilon, self.offset[i], self.orbital_axis[i])
 
     def spread(self, problem: Problem, agreeing: np.ndarray) -> Array:
         """(B,) the lesser of 1 - |mean of R_i a| and 1 - |mean of R_iT n| over the agreeing poses (B, N)."""
@@ -94,10 +108,11 @@ def inliers(problem: Problem, seed: int = 0) -> np.ndarray:
 
 def _agreeing(problem: Problem, rng: np.random.Generator) -> np.ndarray:
     scored = problem.select(np.sort(rng.permutation(len(problem))[:SCORED]))
-    distance = _best_distances(problem, scored, rng)
+    axes, distance = _best(problem, scored, rng)
     mask = distance <= GROWTH * max(float(np.quantile(distance, SHARE)), FLOOR_M)
     while True:
-        fitted = _fitted(scored.select(mask))
+        axes = closed_form.refit(scored.select(mask), axes)
+        fitted = Hypotheses.of(axes)
         distance = fitted.distances(scored)[0]
         reach = GROWTH * max(float(np.median(distance[mask])), FLOOR_M)
         grown = distance <= reach
@@ -106,18 +121,12 @@ def _agreeing(problem: Problem, rng: np.random.Generator) -> np.ndarray:
         mask = grown
 
 
-def _fitted(problem: Problem) -> Hypotheses:
-    axes = closed_form.axes_of(problem, closed_form.Options(fix_non_orthogonality=False))
-    radius, sine = np.array([axes.major_radius]), np.sin([axes.non_orthogonality])
-    return Hypotheses(axes.center, axes.angular_axis, radius, sine, axes.offset[None], axes.orbital_axis[None])
-
-
-def _best_distances(problem: Problem, scored: Problem, rng: np.random.Generator) -> Array:
-    """Distances (M,) of the scored poses from the best hypothesis: the fit to all of them, or one from as
-    many samples as the share of agreeing poses asks for."""
-    batch, tried = _fitted(scored), 0
-    best = batch.distances(scored)[0]
-    rank, length = float(np.quantile(best, SHARE)), float(np.linalg.norm(batch.offset[0]))
+def _best(problem: Problem, scored: Problem, rng: np.random.Generator) -> tuple[Axes, Array]:
+    """The best hypothesis and the distances (M,) of the scored poses from it: the fit to all of them, or one
+    from as many samples as the share of agreeing poses asks for."""
+    axes = closed_form.refit(scored, closed_form.axes_of(scored))
+    tried, best = 0, Hypotheses.of(axes).distances(scored)[0]
+    rank = float(np.quantile(best, SHARE))
     for size in BATCHES:
         sample = rng.integers(len(problem), size=(size, SAMPLE))
         batch = solve_samples(problem.rotations[sample], problem.p_world_sensor[sample], rng)
@@ -127,12 +136,12 @@ def _best_distances(problem: Problem, scored: Problem, rng: np.random.Generator)
         ranks[batch.spread(scored, agreeing) < LEAST_SPREAD] = np.inf
         i = int(np.argmin(ranks))
         if ranks[i] < rank and rank > FLOOR_M:
-            best, rank, length = distances[i], float(ranks[i]), float(np.linalg.norm(batch.offset[i]))
+            axes, best, rank = batch.axes(i), distances[i], float(ranks[i])
         tried += size
-        share = np.mean(best <= min(GROWTH * max(rank, FLOOR_M), MAX_RELATIVE * length))
+        share = np.mean(best <= min(GROWTH * max(rank, FLOOR_M), MAX_RELATIVE * np.linalg.norm(axes.offset)))
         if tried * np.log1p(-min(0.9 * share**SAMPLE, 1 - 1e-9)) < np.log(CONFIDENCE):
             break
-    return best
+    return axes, best
 
 
 def solve_samples(R: Array, p: Array, rng: np.random.Generator) -> Hypotheses:
@@ -160,7 +169,7 @@ def _axes_of_samples(R: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     n = np.linalg.eigh(np.swapaxes(y, 2, 3) @ y)[1][..., 0]
     n, a = n.reshape(-1, 1, 3), a.reshape(-1, 3)
     zero = np.zeros(len(a))
-    n, a, _ = closed_form.refine_axes(M, n, a, zero, fixed=True, steps=8)
+    n, a, _ = closed_form.refine_axes(M, n, a, zero, fixed=True)
     energy = closed_form.axes_energy(M, n, a, zero).reshape(B, STARTS)
     best = np.arange(B) * STARTS + np.argmin(energy, axis=1)
     return n[best, 0], a[best]

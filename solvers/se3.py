@@ -183,9 +183,15 @@ def adjoint(T: ArrayLike) -> Array:
 
 
 def orthonormal_complement(n: ArrayLike) -> Array:
-    """Two unit columns (..., 3, 2) perpendicular to the unit vector ``n`` (..., 3) and to each other."""
-    n = np.asarray(n, dtype=float)
-    least = np.eye(3)[np.argmin(np.abs(n), axis=-1)]
-    u = np.cross(n, least)
-    u /= np.linalg.norm(u, axis=-1, keepdims=True)
-    return np.stack([u, np.cross(n, u)], axis=-1)
+    """Two unit columns (..., 3, 2) with which the unit vector ``n`` (..., 3), placed first, makes a right-handed frame.
+
+    Without branches or square roots: Duff et al., Building an Orthonormal Basis, Revisited, JCGT 2017.
+    """
+    x, y, z = np.moveaxis(np.asarray(n, dtype=float), -1, 0)
+    sign = np.copysign(1.0, z)
+    a = -1 / (sign + z)
+    b = x * y * a
+    B = np.empty((*np.shape(x), 3, 2))
+    B[..., 0, 0], B[..., 1, 0], B[..., 2, 0] = 1 + sign * x * x * a, sign * b, -sign * x
+    B[..., 0, 1], B[..., 1, 1], B[..., 2, 1] = b, sign + y * y * a, -y
+    return B

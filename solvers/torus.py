@@ -74,11 +74,16 @@ class Torus:
     def angles(self, problem: Problem) -> Array:
         """alpha, beta (N, 2), rad, of each pose from its orientation alone.
 
-        The y and x columns of R_torus_carm = Rx(alpha) Rz(epsilon) Ry(beta) carry them separately.
+        The y and x columns of R_torus_carm = Rx(alpha) Rz(epsilon) Ry(beta) carry them separately; the four
+        entries that matter are linear in those of R_world_sensor.
         """
-        R_torus_world = np.swapaxes(self.T_world_torus[:, :3, :3], 1, 2)[problem.placement]
-        R = R_torus_world @ (problem.rotations @ self.T_sensor_carm[:3, :3])
-        return np.stack([np.arctan2(R[:, 2, 1], R[:, 1, 1]), np.arctan2(R[:, 0, 2], R[:, 0, 0])], axis=1)
+        R_sc, R = self.T_sensor_carm[:3, :3], problem.rotations.reshape(-1, 9)
+        entries = np.empty((4, len(R)))
+        for p, R_wt in enumerate(self.T_world_torus[:, :3, :3]):
+            picked = np.einsum("ik,jk->kij", R_wt[:, [2, 1, 0, 0]], R_sc[:, [1, 1, 2, 0]]).reshape(4, 9)
+            here = slice(None) if len(self.T_world_torus) == 1 else problem.placement == p
+            entries[:, here] = picked @ R[here].T
+        return np.arctan2(entries[[0, 2]], entries[[1, 3]]).T
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,12 +114,14 @@ class Axes:
         angles = raw.angles(problem)
         senses = [_sense(angles[:, j], problem.label[:, j], problem.placement if j == 0 else None) for j in (0, 1)]
         flips = _flips(senses, angles[problem.placement == problem.placement[0], 0])
-        raw = axes.turned(*flips)._with_arbitrary_zeros()
+        if flips != (1, 1):
+            raw = axes.turned(*flips)._with_arbitrary_zeros()
+            angles = raw.angles(problem)
         clear = abs(self.major_radius) > SENSE_RADIUS_M
         told = [senses[j] != 0 or (senses[1 - j] != 0 and clear) for j in (0, 1)]
         alpha, beta = problem.zero_labelled
         return replace(
-            _with_zeros(raw, raw.angles(problem), problem),
+            _with_zeros(raw, angles, problem),
             referenced=alpha & told[0],
             orbital_referenced=beta and told[1],
         )
@@ -153,10 +160,8 @@ def _sense(angle: Array, label: Array, placement: np.ndarray | None) -> int:
     if not known.any():
         return 0
     groups = np.zeros(known.sum(), dtype=int) if placement is None else placement[known]
-    agreement = [
-        sum(abs(np.exp(1j * (label[known] - s * angle[known]))[groups == g].sum()) for g in np.unique(groups))
-        for s in (1, -1)
-    ]
+    u, v = np.exp(1j * label[known]), np.exp(1j * angle[known])
+    agreement = [sum(abs((u * w)[groups == g].sum()) for g in np.unique(groups)) for w in (v.conj(), v)]
     tie = abs(agreement[0] - agreement[1]) <= 1e-3 * known.sum()
     return 0 if tie else int(np.sign(agreement[0] - agreement[1]))
 

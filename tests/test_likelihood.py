@@ -130,6 +130,14 @@ class Dense:
     """(2, N) column of each angle, -1 where it is known."""
     kind: np.ndarray
     """Of each row: 0 position, 1 rotation, 2 reading."""
+    pose: np.ndarray
+    """Of each row, and"""
+
+    @property
+    def own(self) -> np.ndarray:
+        """the columns of the angles that belong to one pose alone."""
+        columns = np.arange(self.D, self.J.shape[1])
+        return self.J[:, columns[np.bincount(self.place[self.place >= 0], minlength=len(self.J[0]))[columns] == 1]]
 
     @property
     def normal(self) -> np.ndarray:
@@ -158,7 +166,7 @@ def dense(data: Problem, line: Linearisation, angles: np.ndarray, used: np.ndarr
                 if (joint, held) not in sweeps:
                     sweeps[joint, held], number = number, number + 1
                 place[joint, i] = sweeps[joint, held]
-    rows, r, kind = [], [], []
+    rows, r, kind, pose = [], [], [], []
     sigma = np.repeat(SIGMA, 3)[: len(line.residual)]
     for i in np.flatnonzero(used):
         k = data.placement[i]
@@ -173,6 +181,7 @@ def dense(data: Problem, line: Linearisation, angles: np.ndarray, used: np.ndarr
             rows.append(J)
             r.append(w * line.residual[row, i])
             kind.append(row // 3)
+            pose.append(i)
         for joint in (0, 1):
             if data.held[i, joint] < 0 and np.isfinite(data.label[i, joint]):
                 J = np.zeros(number)
@@ -180,7 +189,8 @@ def dense(data: Problem, line: Linearisation, angles: np.ndarray, used: np.ndarr
                 rows.append(J)
                 r.append((angles[joint, i] - data.label[i, joint]) / data.sigma_reading)
                 kind.append(2)
-    return Dense(np.array(rows), np.array(r), D, place, np.array(kind))
+                pose.append(i)
+    return Dense(np.array(rows), np.array(r), D, place, np.array(kind), np.array(pose))
 
 
 def with_readings(motion, every: int = 1):
@@ -321,6 +331,22 @@ def check_redundancy(full: Dense, reduced: Reduced):
     leverage = np.einsum("ij,ji->i", A, np.linalg.solve(A.T @ A, A.T))
     expected = [(1 - leverage[full.kind == kind]).sum() for kind in (0, 1)]
     np.testing.assert_allclose(reduced.redundancy, expected, rtol=1e-8)
+
+
+def test_what_the_angles_exchange_between_the_kinds(eliminated):
+    # Helmert's equations: of the expected squares of one kind, this many parts are variances of the other
+    full, reduced = eliminated
+    hat = full.own @ np.linalg.solve(full.own.T @ full.own, full.own.T)
+    across = hat[np.ix_(full.kind == 0, full.kind == 1)]
+    assert reduced.exchanged == pytest.approx((across**2).sum(), rel=1e-8)
+
+
+def test_the_distance_of_a_pose_is_what_its_own_angles_leave(eliminated):
+    full, reduced = eliminated
+    left = full.r - full.own @ np.linalg.solve(full.own.T @ full.own, full.own.T @ full.r)
+    observed = full.kind < 2
+    expected = np.bincount(full.pose[observed], left[observed] ** 2)
+    np.testing.assert_allclose(reduced.distance2, expected, rtol=1e-7)
 
 
 def test_sums_of_squares(eliminated):
