@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solvers import closed_form, kinematic
+from solvers import kinematic
+from solvers.axes import ambiguous
 from solvers.covariance import active_unknowns, covariance_of, marginal_covariance, scaled_spectrum
 from solvers.diagnose import LABELS, base_moved_at, causes_of
 from solvers.elimination import normal_equations
@@ -68,7 +69,7 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         still = turns_about_one_axis(part)
     null = vectors[:, values < limits.min_relative_information * values[-1]] / scale[:, None]
     unobservable = (*still, *in_words(torus, active, null))
-    if not still and closed_form.ambiguous(part):
+    if not still and ambiguous(part):
         unobservable += (AMBIGUOUS,)
     chi2_per_dof = at.cost / max(sum(at.redundancy) - active.sum(), 1.0)
     asked = (

@@ -12,7 +12,8 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from solvers import closed_form, decomposed, loci, robust
+from solvers import decomposed, loci, robust
+from solvers.axes import axes_of
 from solvers.estimate import Covariance, Estimate
 from solvers.loci import Locus, TwoAxisLocus
 from solvers.problem import Problem
@@ -139,7 +140,7 @@ def _start(problem: Problem, chosen: Locus, options: Options) -> Array:
     if use_sweeps:
         axes = decomposed.axes_of(problem, decomposed.Options(options.fix_non_orthogonality, iterations=0))
     else:
-        axes = closed_form.axes_of(problem, closed_form.Options(options.fix_non_orthogonality))
+        axes = axes_of(problem, options.fix_non_orthogonality)
     return chosen.theta(replace(axes, offset=axes.offset + options.shift_start_m * axes.orbital_axis))
 
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtri
 
-from solvers import closed_form, robust
+from solvers import robust
+from solvers.axes import axes_of
 from solvers.covariance import active_unknowns, covariance_of, marginal_covariance
 from solvers.elimination import Reduced, normal_equations
 from solvers.estimate import Estimate, Note
@@ -72,7 +73,7 @@ def _from_coarse(problem: Problem, used: np.ndarray, options: Options, fix_non_o
     """The fit to all poses, started from the fit to some where there are many."""
     agreeing = np.flatnonzero(used)
     some = problem.select(agreeing[:: max(1, len(agreeing) // COARSE)])
-    axes = closed_form.axes_of(some, closed_form.Options(fix_non_orthogonality, reject_outliers=False))
+    axes = axes_of(some, fix_non_orthogonality)
     torus, sigma = axes.torus(problem.select(agreeing)), None
     if len(problem) > 2 * COARSE and some.placements == problem.placements:
         coarse = refine(some, torus, replace(options, reject_outliers=False), fix_non_orthogonality)

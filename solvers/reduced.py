@@ -27,7 +27,7 @@ class Reduced:
     """Number of position and of rotation residuals, each less the part that the angles absorb
     (without orientations the second is without meaning)."""
     exchanged: float
-    """How much of one noise the angles of single poses carry into the residuals of the other (docs/estimation.md, 4)."""
+    """How much of one noise the angles of single poses carry into the other's residuals (docs/estimation.md, 4)."""
     squares: tuple[float, float]
     """Weighted sum of the squared position (m^2) and rotation (rad^2) residuals, not scaled by sigma."""
     reading_cost: float

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solvers import closed_form
+from solvers.axes import axes_of, refit
 from solvers.problem import Problem
+from solvers.rank_one import axes_energy, refine_axes
 from solvers.se3 import Array, skew
 from solvers.torus import Axes
 
@@ -111,7 +112,7 @@ def _agreeing(problem: Problem, rng: np.random.Generator) -> np.ndarray:
     axes, distance = _best(problem, scored, rng)
     mask = distance <= GROWTH * max(float(np.quantile(distance, SHARE)), FLOOR_M)
     while True:
-        axes = closed_form.refit(scored.select(mask), axes)
+        axes = refit(scored.select(mask), axes)
         fitted = Hypotheses.of(axes)
         distance = fitted.distances(scored)[0]
         reach = GROWTH * max(float(np.median(distance[mask])), FLOOR_M)
@@ -124,7 +125,7 @@ def _agreeing(problem: Problem, rng: np.random.Generator) -> np.ndarray:
 def _best(problem: Problem, scored: Problem, rng: np.random.Generator) -> tuple[Axes, Array]:
     """The best hypothesis and the distances (M,) of the scored poses from it: the fit to all of them, or one
     from as many samples as the share of agreeing poses asks for."""
-    axes = closed_form.refit(scored, closed_form.axes_of(scored))
+    axes = refit(scored, axes_of(scored))
     tried, best = 0, Hypotheses.of(axes).distances(scored)[0]
     rank = float(np.quantile(best, SHARE))
     for size in BATCHES:
@@ -169,7 +170,7 @@ def _axes_of_samples(R: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     n = np.linalg.eigh(np.swapaxes(y, 2, 3) @ y)[1][..., 0]
     n, a = n.reshape(-1, 1, 3), a.reshape(-1, 3)
     zero = np.zeros(len(a))
-    n, a, _ = closed_form.refine_axes(M, n, a, zero, fixed=True)
-    energy = closed_form.axes_energy(M, n, a, zero).reshape(B, STARTS)
+    n, a, _ = refine_axes(M, n, a, zero, fixed=True)
+    energy = axes_energy(M, n, a, zero).reshape(B, STARTS)
     best = np.arange(B) * STARTS + np.argmin(energy, axis=1)
     return n[best, 0], a[best]

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 from simulated import crlb, joined, line_angle, machine, paper, problem, shuffled, small, sweeps_deg, wandering
 
 from solvers import closed_form
+from solvers.axes import ambiguous, axes_of
 from solvers.closed_form import Options
 from solvers.problem import Problem
 
@@ -103,7 +104,7 @@ def test_without_labels_noise_does_not_choose_the_direction_of_the_axes(motion):
 @pytest.mark.parametrize("epsilon_free", [False, True])
 def test_the_axes_have_the_least_residual_that_brute_force_finds(arc_deg, epsilon_free):
     data = problem(machine(6, 0.1, 0.01), wandering(80, 6, arc_deg), 1e-3, 2e-3)
-    axes = closed_form.axes_of(data, Options(fix_non_orthogonality=not epsilon_free))
+    axes = axes_of(data, fix_non_orthogonality=not epsilon_free)
     R = data.R_world_sensor
 
     def residual(x):
@@ -122,7 +123,7 @@ def test_the_axes_have_the_least_residual_that_brute_force_finds(arc_deg, epsilo
 def test_the_pivot_has_the_least_residual_for_its_axes(placements):
     truth = machine(7, 0.1, placements=placements)
     data = problem(truth, joined(*(small(k) for k in range(placements))), 2e-3, 2e-3)
-    axes = closed_form.axes_of(data)
+    axes = axes_of(data)
     rows = np.zeros((len(data), 3, 3 * placements + 4))
     for i, k in enumerate(data.placement):
         z = np.cross(axes.angular_axis[k], data.R_world_sensor[i] @ axes.orbital_axis)
@@ -168,7 +169,7 @@ def test_one_circle_each_is_also_a_machine_with_its_axes_exchanged():
     circle = np.arange(0, 360, 20)
     truth = machine(5, 0.1)
     labelled = problem(truth, sweeps_deg((0,), circle, (0,), circle), 1e-3, 1e-3)
-    assert closed_form.ambiguous(labelled.without_labels())
-    assert not closed_form.ambiguous(labelled)
+    assert ambiguous(labelled.without_labels())
+    assert not ambiguous(labelled)
     np.testing.assert_allclose(closed_form.solve(labelled).angular_axis, truth.T_world_torus[:, :3, 0], atol=0.01)
-    assert not closed_form.ambiguous(problem(truth, small(), 1e-3, 1e-3).without_labels())
+    assert not ambiguous(problem(truth, small(), 1e-3, 1e-3).without_labels())

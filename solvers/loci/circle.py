@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from solvers import closed_form
+from solvers.axes import axes_of
 from solvers.estimate import Estimate
 from solvers.loci import reported_by_name
 from solvers.problem import Problem
@@ -56,7 +56,7 @@ class Locus:
 
     def start(self, problem: Problem) -> Array:
         """The closed form."""
-        return self.theta(closed_form.axes_of(problem, closed_form.Options(self.fix_non_orthogonality)))
+        return self.theta(axes_of(problem, self.fix_non_orthogonality))
 
     def theta(self, axes: Axes) -> Array:
         """(P, 14) of the given axes."""

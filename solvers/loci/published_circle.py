@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from solvers import closed_form
+from solvers.axes import axes_of
 from solvers.estimate import Estimate, Note
 from solvers.loci import reported_by_name
 from solvers.problem import Problem
@@ -48,7 +48,7 @@ class Locus:
 
     def start(self, problem: Problem) -> Array:
         """The closed form."""
-        return self.theta(closed_form.axes_of(problem))
+        return self.theta(axes_of(problem))
 
     def theta(self, axes: Axes) -> Array:
         """(P, 10) of the given axes."""
