@@ -76,7 +76,7 @@ def one_run(job: tuple[int, int]) -> tuple[Array, bool, bool]:
 
 def _held(estimate: Estimate, truth: Torus) -> list[bool]:
     """The signs of R and epsilon are those that the true directions of the axes give them, so that R has no edge
-    at 0; the reported interval of |R| is looked at as well; unit vectors are compared in the tangent plane at the estimate."""
+    at 0, but in the reported interval of |R|; unit vectors are compared in the tangent plane at the estimate."""
     torus, covariance = estimate.torus, estimate.covariance
     assert torus is not None
     assert covariance is not None

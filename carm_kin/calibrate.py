@@ -155,5 +155,6 @@ def _small_placement(recording: Recording, kept: np.ndarray) -> Note | None:
         return None
     return Note(
         "too_few_poses",
-        f"placement '{recording.placements[few[0]]}' has {counts[few[0]]} poses that differ; at least {MIN_PLACEMENT} are needed",
+        f"placement '{recording.placements[few[0]]}' has {counts[few[0]]} poses that are not repeated; "
+        f"at least {MIN_PLACEMENT} are needed",
     )
