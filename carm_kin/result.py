@@ -218,9 +218,8 @@ class CalibrationResult:
         written = [f.name for f in fields(self) if f.name not in NOT_IN_FILE]
         data = {"schema": SCHEMA} | {name_in_file(name): to_json_value(getattr(self, name), name) for name in written}
         data["residuals"] = {"overall": data["residuals"], "per_sweep": data.pop("residuals_per_sweep")}
-        data[name_in_file(INTERVAL)] = to_json_value(
-            _interval(data["major_radius_mm"], data["sigma"]["major_radius_mm"])
-        )
+        interval_mm = _interval(data["major_radius_mm"], data["sigma"]["major_radius_mm"])
+        data[name_in_file(INTERVAL)] = to_json_value(interval_mm)
         return data
 
     def to_json(self, path: str | os.PathLike | None = None) -> str:

@@ -169,8 +169,8 @@ def _estimate(
             Note(
                 "nearly_sphere",
                 f"the major radius lies within {SPHERE_SIGMAS:.0f} times the noise: positions then lie on a sphere, "
-                "which tells nothing of the axes and the minor radius, and biases the major radius upwards; their standard "
-                "deviations are left out",
+                "which tells nothing of the axes and the minor radius, and biases the major radius upwards; their "
+                "standard deviations are left out",
             )
         )
     kept = [i for i, name in enumerate(covariance.names) if name.startswith(told)]

@@ -53,7 +53,8 @@ def test_coverage_at_the_edge(sigmas, expected, one_sided):
         assert interval is not None
         held.append(interval[0] <= R <= interval[1])
         from_zero.append(interval[0] == 0.0)
-    # Shares of 120 runs are binomial: standard errors of 0.020 and 0.014 (held), 0.020 and 0.034 (one-sided); 3 of these
+    # Shares of 120 runs are binomial, with standard errors of 0.020 and 0.014 (held), 0.020 and 0.034 (one-sided);
+    # 3 of these
     for share, p in ((np.mean(held), expected), (np.mean(from_zero), one_sided)):
         assert abs(share - p) <= 3 * np.sqrt(p * (1 - p) / RUNS)
 

@@ -41,7 +41,7 @@ def test_all_but_the_first_are_marked():
 @pytest.mark.parametrize("step, same", [(4e-7, True), (3e-6, False)])
 def test_rounding_is_no_motion(step, same):
     p, R = np.array([[1.5, -0.7, 2.0]] * 2), np.stack([np.eye(3)] * 2)
-    assert repeated(p + [[0, 0, 0], [0, step, 0]], R).tolist() == [False, same]
+    assert repeated(p + np.array([[0, 0, 0], [0, step, 0]]), R).tolist() == [False, same]
     turned = np.eye(3)
     turned[0, 1], turned[1, 0] = -step, step
     assert repeated(p, np.stack([np.eye(3), turned])).tolist() == [False, same]
