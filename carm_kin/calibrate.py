@@ -139,13 +139,15 @@ def _wrong_unit(problem: Problem) -> Note | None:
     """A refusal for positions of a size that no C-arm has while its sensor turns."""
     extent = float(np.ptp(problem.p_world_sensor, axis=0).max(initial=0.0))
     turned = problem.R_world_sensor is None or np.ptp(problem.R_world_sensor, axis=0).max() > TURNED
-    if extent > EXTENT_M[1] or (turned and extent < EXTENT_M[0]):
-        return Note(
-            "misfit",
-            f"the positions span {extent * 1e3:.3g} mm, which no C-arm does; is the unit of the position columns right "
-            "(metres read as millimetres, or the other way)?",
-        )
-    return None
+    large = extent > EXTENT_M[1]
+    if not large and not (turned and extent < EXTENT_M[0]):
+        return None
+    mistake = "millimetres read as metres" if large else "metres read as millimetres"
+    return Note(
+        "misfit",
+        f"the positions span {extent * 1e3:.3g} mm, which no C-arm does. Likely cause: a wrong unit in the names of the "
+        f"position columns ({mistake})",
+    )
 
 
 def _small_placement(recording: Recording, kept: np.ndarray) -> Note | None:
