@@ -145,8 +145,8 @@ def _wrong_unit(problem: Problem) -> Note | None:
     mistake = "millimetres read as metres" if large else "metres read as millimetres"
     return Note(
         "misfit",
-        f"the positions span {extent * 1e3:.3g} mm, which no C-arm does. Likely cause: a wrong unit in the names of the "
-        f"position columns ({mistake})",
+        f"the positions span {extent * 1e3:.3g} mm, which no C-arm does. Likely cause: a wrong unit in the names of "
+        f"the position columns ({mistake})",
     )
 
 

@@ -216,7 +216,8 @@ class CalibrationResult:
     def to_dict(self) -> dict[str, Any]:
         """The content of the JSON file: mm and degrees, units in the names."""
         written = [f.name for f in fields(self) if f.name not in NOT_IN_FILE]
-        data = {"schema": SCHEMA} | {name_in_file(name): to_json_value(getattr(self, name), name) for name in written}
+        data: dict[str, Any] = {"schema": SCHEMA}
+        data |= {name_in_file(name): to_json_value(getattr(self, name), name) for name in written}
         data["residuals"] = {"overall": data["residuals"], "per_sweep": data.pop("residuals_per_sweep")}
         interval_mm = _interval(data["major_radius_mm"], data["sigma"]["major_radius_mm"])
         data[name_in_file(INTERVAL)] = to_json_value(interval_mm)
