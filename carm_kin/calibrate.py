@@ -58,11 +58,12 @@ def calibrate(
     chosen = options_of(module.Options, name, options)
     _check_noise("sigma_t_m", sigma_t_m)
     _check_noise("sigma_r_rad", sigma_r_rad)
-    again = repeated(recording)
+    again = repeated(recording.p_world_sensor, recording.R_world_sensor)
     if (~again).sum() < limits.min_poses:
         again[:] = False
     result = _calibrated(
-        recording.select(~again) if again.any() else recording,
+        recording,
+        ~again,
         lambda kept: replace(to_problem(kept, angular, orbital), sigma_t=sigma_t_m, sigma_r=sigma_r_rad),
         module,
         chosen,
@@ -73,20 +74,22 @@ def calibrate(
 
 
 def _calibrated(
-    recording: Recording,
+    whole: Recording,
+    kept: np.ndarray,
     problem_of: Callable[[Recording], Problem],
     module: ModuleType,
     options: Any,
     limits: Limits,
     provenance: r.Provenance,
 ) -> r.CalibrationResult:
-    """The result of a recording in which no pose is repeated."""
+    """The result of the ``kept`` poses (N,) of a recording."""
+    recording = whole if kept.all() else whole.select(kept)
     name, problem = module.__name__.rsplit(".", 1)[-1], problem_of(recording)
     if problem.R_world_sensor is None and name != "surface":
         raise InputError(f"the recording has no orientations (qw, qx, qy, qz), which '{name}' needs; use 'surface'")
     refusal = Note("too_few_poses", f"{len(problem)} poses; at least {limits.min_poses} are needed")
     if len(problem) >= limits.min_poses:
-        refusal = _wrong_unit(problem) or _small_placement(recording, problem)
+        refusal = _wrong_unit(problem) or _small_placement(whole, kept)
     if refusal:
         return refused_result(recording, name, asdict(options), refusal, provenance)
     try:
@@ -136,21 +139,24 @@ def _wrong_unit(problem: Problem) -> Note | None:
     """A refusal for positions of a size that no C-arm has while its sensor turns."""
     extent = float(np.ptp(problem.p_world_sensor, axis=0).max(initial=0.0))
     turned = problem.R_world_sensor is None or np.ptp(problem.R_world_sensor, axis=0).max() > TURNED
-    if extent > EXTENT_M[1] or (turned and extent < EXTENT_M[0]):
-        return Note(
-            "misfit",
-            f"the positions span {extent * 1e3:.3g} mm, which no C-arm does; is the unit of the position columns right "
-            "(metres read as millimetres, or the other way)?",
-        )
-    return None
+    large = extent > EXTENT_M[1]
+    if not large and not (turned and extent < EXTENT_M[0]):
+        return None
+    mistake = "millimetres read as metres" if large else "metres read as millimetres"
+    return Note(
+        "misfit",
+        f"the positions span {extent * 1e3:.3g} mm, which no C-arm does. Likely cause: a wrong unit in the names of "
+        f"the position columns ({mistake})",
+    )
 
 
-def _small_placement(recording: Recording, problem: Problem) -> Note | None:
-    counts = np.bincount(problem.placement, minlength=len(recording.placements))
+def _small_placement(recording: Recording, kept: np.ndarray) -> Note | None:
+    counts = np.bincount(recording.placement_number[kept], minlength=len(recording.placements))
     few = np.flatnonzero(counts < MIN_PLACEMENT)
     if not few.size:
         return None
     return Note(
         "too_few_poses",
-        f"placement '{recording.placements[few[0]]}' has {counts[few[0]]} poses; at least {MIN_PLACEMENT} are needed",
+        f"placement '{recording.placements[few[0]]}' has {counts[few[0]]} poses that are not repeated; "
+        f"at least {MIN_PLACEMENT} are needed",
     )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from carm_kin.errors import InputError
+from carm_kin.repeated import repeated
 from solvers.estimate import Note
 from solvers.se3 import Array
 
@@ -103,11 +104,8 @@ def warnings_of(recording: "Recording") -> Iterable[Note]:
     n, missing = len(recording), recording.missing
     if missing:
         yield Note("missing_frames", f"{missing} of {n + missing} frames have no pose and were left out")
-    same = np.all(np.diff(recording.p_world_sensor, axis=0) == 0, axis=1)
-    if recording.R_world_sensor is not None:
-        same &= np.all(np.diff(recording.R_world_sensor, axis=0) == 0, axis=(1, 2))
-    if same.any():
-        yield Note("duplicated_poses", f"{np.count_nonzero(same)} of {n} poses are identical to the pose before them")
+    if same := np.count_nonzero(repeated(recording.p_world_sensor, recording.R_world_sensor)):
+        yield Note("duplicated_poses", f"{same} of {n} poses are identical to the pose before them")
     if recording.time_s is not None and np.any(back := np.diff(recording.time_s) <= 0):
         pose = recording.pose_number[np.argmax(back) + 1]
         yield Note(

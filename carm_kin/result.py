@@ -9,12 +9,22 @@ from typing import Any
 
 from carm_kin.errors import InputError
 from carm_kin.result_checks import contradiction
-from carm_kin.result_json import name_in_file, of_json_object, read_object, to_json_value, write_atomically
+from carm_kin.result_json import (
+    name_in_file,
+    of_json_object,
+    of_json_value,
+    read_object,
+    to_json_value,
+    write_atomically,
+)
+from solvers.covariance import interval_of_magnitude
 from solvers.estimate import Covariance, Note
 from solvers.se3 import Array
 
 SCHEMA = "carm-kin/result/1"
 NOT_IN_FILE = ("angles_rad",)
+INTERVAL = "major_radius_interval_95_m"
+"""Written to the file although it follows from other numbers there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,11 +208,19 @@ class CalibrationResult:
     cross_validation: CrossValidation | None = None
     """None where it was not asked for."""
 
+    @property
+    def major_radius_interval_95_m(self) -> tuple[float, float] | None:
+        """The 95% interval of |R|; it begins at 0, one-sided, where R is not told from 0. None without a sigma."""
+        return _interval(self.major_radius_m, self.sigma.major_radius_m)
+
     def to_dict(self) -> dict[str, Any]:
         """The content of the JSON file: mm and degrees, units in the names."""
         written = [f.name for f in fields(self) if f.name not in NOT_IN_FILE]
-        data = {"schema": SCHEMA} | {name_in_file(name): to_json_value(getattr(self, name), name) for name in written}
+        data: dict[str, Any] = {"schema": SCHEMA}
+        data |= {name_in_file(name): to_json_value(getattr(self, name), name) for name in written}
         data["residuals"] = {"overall": data["residuals"], "per_sweep": data.pop("residuals_per_sweep")}
+        interval_mm = _interval(data["major_radius_mm"], data["sigma"]["major_radius_mm"])
+        data[name_in_file(INTERVAL)] = to_json_value(interval_mm)
         return data
 
     def to_json(self, path: str | os.PathLike | None = None) -> str:
@@ -231,9 +249,17 @@ class CalibrationResult:
             if not isinstance(residuals, dict) or residuals.keys() != {"overall", "per_sweep"}:
                 raise InputError("'residuals' must be an object with 'overall' and 'per_sweep'")
             data |= {"residuals": residuals["overall"], "residuals_per_sweep": residuals["per_sweep"]}
+            key = name_in_file(INTERVAL)
+            if key not in data:
+                raise InputError(f"the result: '{key}' is missing")
+            interval = of_json_value(tuple[float, float] | None, data.pop(key), INTERVAL, key)
             result = of_json_object(CalibrationResult, data, "", skipped=NOT_IN_FILE)
-            if problem := contradiction(result):
+            if problem := contradiction(result, interval):
                 raise InputError(problem)
         except InputError as error:
             raise InputError(str(error), file=path) from None
         return result
+
+
+def _interval(magnitude: float | None, sigma: float | None) -> tuple[float, float] | None:
+    return None if magnitude is None or sigma is None else interval_of_magnitude(magnitude, sigma)

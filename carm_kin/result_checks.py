@@ -13,8 +13,8 @@ TOLERANCE = 1e-6
 """How far the axes and rotations of a file may be from unit length and orthonormality."""
 
 
-def contradiction(result: "CalibrationResult") -> str | None:
-    """What in a result that was read cannot be, in words."""
+def contradiction(result: "CalibrationResult", interval_m: tuple[float, ...] | None) -> str | None:
+    """What in a result that was read cannot be, in words; ``interval_m`` is the interval of |R| that stood with it."""
     unit = [result.orbital_axis_sensor, *(placement.angular_axis_world for placement in result.placements)]
     rigid = [result.T_sensor_carm, *(placement.T_world_torus for placement in result.placements)]
     lengths = [result.major_radius_m, result.minor_radius_m, result.sigma.major_radius_m, result.sigma.minor_radius_m]
@@ -28,6 +28,9 @@ def contradiction(result: "CalibrationResult") -> str | None:
         "an axis is no unit vector": any(x is not None and abs(x @ x - 1) > TOLERANCE for x in unit),
         "a transform is no rigid motion": any(x is not None and not _is_rigid(x) for x in rigid),
         "a length is below 0": any(x is not None and x < 0 for x in lengths),
+        "the interval of the major radius is not the one that follows from its sigma": not _same_interval(
+            result.major_radius_interval_95_m, interval_m
+        ),
         "the numbers of poses, used poses and outliers contradict each other": not (
             0 <= result.used <= result.poses and result.outliers.count == len(result.outliers.indices)
         ),
@@ -44,6 +47,12 @@ def _counted(result: "CalibrationResult") -> bool:
     named = [pose for reason in reasons for pose in reason.indices]
     once = len(set(named)) == len(named) and set(named) <= set(result.outliers.indices)
     return once and all(reason.count == len(reason.indices) for reason in reasons)
+
+
+def _same_interval(expected: tuple[float, float] | None, stated: tuple[float, ...] | None) -> bool:
+    if expected is None or stated is None or len(stated) != 2:
+        return expected is stated is None
+    return bool(np.allclose(stated, expected, rtol=0.0, atol=TOLERANCE * expected[1]))
 
 
 def _is_rigid(T: Array) -> bool:

@@ -76,7 +76,7 @@ def show_numbers(result: CalibrationResult, console: Console) -> None:
 def _numbers(result: CalibrationResult) -> list[str]:
     sigma = result.sigma
     lines = _vector("offset sensor to rotation centre", result.offset_sensor_pivot_m, sigma.offset_sensor_pivot_m)
-    lines += _length("major radius", result.major_radius_m, sigma.major_radius_m)
+    lines += _major_radius(result)
     lines += _length("minor radius", result.minor_radius_m, sigma.minor_radius_m)
     skew = result.axis_non_orthogonality_rad
     if skew is not None:
@@ -89,6 +89,15 @@ def _numbers(result: CalibrationResult) -> list[str]:
         lines += _vector("centre in the world", placement.torus_center_world_m, one and one.torus_center_world_m)
         lines += _direction("angular axis in the world", placement.angular_axis_world, one and one.angular_axis_world)
     return lines
+
+
+def _major_radius(result: CalibrationResult) -> list[str]:
+    """With an upper limit instead of a sigma where the interval is one-sided."""
+    interval = result.major_radius_interval_95_m
+    if interval is None or interval[0] > 0:
+        return _length("major radius", result.major_radius_m, result.sigma.major_radius_m)
+    (line,) = _length("major radius", result.major_radius_m, None)
+    return [f"{line}, at most {interval[1] * 1e3:.3f} mm (95%)"]
 
 
 def _quality(result: CalibrationResult) -> list[str]:

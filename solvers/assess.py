@@ -64,10 +64,10 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
     active = active_unknowns(part, fix_non_orthogonality=torus.non_orthogonality == 0.0)
     values, vectors, scale = scaled_spectrum(at.H, active)
     covariance = covariance_of(torus, marginal_covariance(at.H, active))
-    still = joints_at_rest(torus, angles, sigma, limits)
-    if _loud(sigma, limits):
-        still = turns_about_one_axis(part)
     null = vectors[:, values < limits.min_relative_information * values[-1]] / scale[:, None]
+    still = joints_at_rest(torus, angles, sigma, limits)
+    if _loud(sigma, limits) or (null.size and not still):
+        still = turns_about_one_axis(part)
     unobservable = (*still, *in_words(torus, active, null))
     if not still and ambiguous(part):
         unobservable += (AMBIGUOUS,)
@@ -207,6 +207,8 @@ def _misfits(
 
 
 def _undetermined(covariance: Covariance, unobservable: tuple[str, ...], limits: Limits) -> Note | None:
-    if unobservable:
+    """Two machines explain arcs that are too short for the noise as well: then the noise is the reason."""
+    refusal = uncertain(covariance, limits) if unobservable in ((), (AMBIGUOUS,)) else None
+    if unobservable and not refusal:
         return Note("unobservable", "; ".join(unobservable))
-    return uncertain(covariance, limits)
+    return refusal

@@ -1,12 +1,16 @@
 """From the marginal information of the chain to the covariance of every reported quantity."""
 
 import numpy as np
+from scipy.special import ndtri
 
 from solvers.estimate import Covariance
 from solvers.likelihood import MOUNT_ROLL, TORUS_ROLL
 from solvers.problem import Problem
 from solvers.se3 import Array, skew
 from solvers.torus import Torus
+
+NORMAL_95 = float(ndtri(0.975))
+"""Half-width of a two-sided 95% interval in standard deviations."""
 
 
 def active_unknowns(problem: Problem, fix_non_orthogonality: bool) -> np.ndarray:
@@ -70,6 +74,16 @@ def reported_jacobian(torus: Torus) -> tuple[Array, tuple[str, ...]]:
         rows += [center, angular]
         names += [*_xyz(f"torus_center_world[{p}]"), *_xyz(f"angular_axis_world[{p}]")]
     return np.vstack(rows), tuple(names)
+
+
+def interval_of_magnitude(value: float, sigma: float) -> tuple[float, float]:
+    """The 95% interval of |x|, where ``value`` is a normal estimate of x with the standard deviation ``sigma``.
+
+    The image under |.| of ``value`` ± 1.96 ``sigma``; where that contains 0 it begins at 0 and is one-sided.
+    It holds the true |x| with a probability of 95% at x = 0 and from about 3 sigma on, of up to 97.5% between.
+    """
+    reach = NORMAL_95 * sigma
+    return max(abs(value) - reach, 0.0), abs(value) + reach
 
 
 def _xyz(name: str) -> list[str]:

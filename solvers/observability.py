@@ -39,7 +39,7 @@ def joints_at_rest(torus: Torus, angles: Array, sigma: tuple[float, float], limi
     if moving == [True, True]:
         return ()
     if moving == [False, False]:
-        return ("no motion about either axis: both axes and the offset are unknown",)
+        return ("no motion about either axis beyond the noise: both axes and the offset are unknown",)
     name = "orbital" if moving[0] else "angular"
     return (f"no {name} motion: the {name} axis and the offset along the other axis are unknown",)
 

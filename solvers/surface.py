@@ -162,15 +162,18 @@ def _estimate(
             "gives the same ones",
         )
     ]
+    told = ("major", "minor", "torus", "angular")
     if abs(torus.major_radius) < SPHERE_SIGMAS * sigma:
+        told = ("torus",)
         notes.append(
             Note(
                 "nearly_sphere",
                 f"the major radius lies within {SPHERE_SIGMAS:.0f} times the noise: positions then lie on a sphere, "
-                "which tells nothing of the axes and the minor radius, and biases the major radius upwards",
+                "which tells nothing of the axes and the minor radius, and biases the major radius upwards; their "
+                "standard deviations are left out",
             )
         )
-    kept = [i for i, name in enumerate(covariance.names) if name.startswith(("major", "minor", "torus", "angular"))]
+    kept = [i for i, name in enumerate(covariance.names) if name.startswith(told)]
     return Estimate(
         "surface",
         center=torus.center,

@@ -17,6 +17,7 @@ from solvers.problem import Problem
 SIGMA = 5e-4, 1e-3
 TURN = np.arange(0, 360, 6)
 BOTH = sweeps_deg((0, 40, 80), TURN, (0, 60), TURN)
+ARCS = sweeps_deg((-45, -15, 15, 45, 80), np.arange(-40, 111), (-40, 20, 80), np.arange(-45, 91))
 ANY_MOTION = ("closed_form", "direct", "kinematic")
 NUMBERS = ("offset_sensor_pivot_m", "major_radius_m", "minor_radius_m", "axis_non_orthogonality_rad")
 
@@ -36,9 +37,9 @@ def moved(motion: Motion) -> Recording:
     return recorded(problem(machine(3), motion, *SIGMA, seed=2))
 
 
-def parallel() -> Recording:
+def parallel(motion: Motion = BOTH) -> Recording:
     """Both joints turn about parallel axes."""
-    given, angles, rng = problem(machine(3), BOTH), BOTH.angles, np.random.default_rng(0)
+    given, angles, rng = problem(machine(3), motion), motion.angles, np.random.default_rng(0)
     both = Rotation.from_rotvec(angles.sum(axis=1)[:, None] * [0, 0, 1])
     p = Rotation.from_rotvec(angles[:, :1] * [0, 0, 1]).apply([0.3, 0, 0]) + both.apply([0.1, 0.6, 0.2])
     R = both * Rotation.random(random_state=1) * Rotation.from_rotvec(SIGMA[1] * rng.normal(size=p.shape))
@@ -71,6 +72,7 @@ ONE_JOINT = {
 }
 BOTH_JOINTS = {
     "parallel": (parallel, {"one_axis_only"}),
+    "parallel, arcs": (lambda: parallel(ARCS), {"one_axis_only"}),
     "garbage": (garbage, {"misfit", "too_many_outliers"}),
     "short arcs": (short, {"one_axis_only", "unobservable", "too_uncertain"}),
 }
@@ -124,6 +126,22 @@ def test_the_decomposition_says_which_sweeps_it_needs(kind):
 def test_refusals_of_positions_alone(kind, code):
     recording = {**ONE_JOINT, **BOTH_JOINTS}[kind][0]()
     assert refused(replace(recording, R_world_sensor=None), "surface") == code
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_arcs_too_short_for_the_noise_are_not_taken_for_an_ambiguity(seed):
+    arc = np.linspace(-3, 3, 8)
+    recording = recorded(problem(machine(3), sweeps_deg((-3, 0, 3), arc, (0,), arc), 3e-3, 5e-3, seed=seed))
+    assert refused(recording, "kinematic") == "too_uncertain"
+
+
+@pytest.mark.parametrize("factor, words", [(1e-3, "metres read as millimetres"), (1e3, "millimetres read as metres")])
+def test_a_wrong_unit_is_named_by_its_direction(factor, words):
+    recording = recorded(problem(machine(3), BOTH, *SIGMA))
+    result = carm_kin.calibrate(replace(recording, p_world_sensor=factor * recording.p_world_sensor))
+    assert result.refusal is not None
+    assert result.refusal.code == "misfit"
+    assert words in result.refusal.message
 
 
 def test_a_length_that_no_c_arm_has_is_a_misfit():

@@ -10,7 +10,6 @@ import carm_kin
 from carm_kin.check import check
 from carm_kin.errors import InputError
 from carm_kin.recording import Recording
-from carm_kin.repeated import repeated
 from carm_kin.result import CalibrationResult
 from solvers.se3 import exp_se3
 
@@ -134,12 +133,3 @@ def test_the_command(saved, tmp_path, capsys):
     assert refused.err.splitlines()[-1].startswith("refused (one_axis_only)")
     assert "no such file" in fails(capsys, "check", tmp_path / "none.json", good)
     assert "tolerance_m must be" in fails(capsys, "check", result, bad, "--tolerance-mm", 0)
-
-
-def test_repeated_poses_are_marked_but_the_first():
-    recording = recorded().select(np.array([0, 1, 1, 1, 2, 3, 1, 4, 4]))
-    assert np.flatnonzero(repeated(recording)).tolist() == [2, 3, 8]
-    assert not repeated(recorded().select(slice(0, 1))).any()
-    turned = Recording(np.zeros((2, 3)), recorded().R_world_sensor[:2])
-    assert not repeated(turned).any()
-    assert repeated(Recording(np.zeros((2, 3)))).tolist() == [False, True]

@@ -97,3 +97,13 @@ def test_no_file_is_long(path):
 def test_every_file_says_what_it_is(path):
     if path.name != "__main__.py":
         assert ast.get_docstring(tree(path))
+
+
+def test_every_code_is_documented():
+    """What the first argument of a `Note` is, stands in docs/refusals.md."""
+    calls = [node for path in [*SOLVERS, *CARM_KIN] for node in ast.walk(tree(path)) if isinstance(node, ast.Call)]
+    first = [node.args[0] for node in calls if name_of(node.func) == "Note" and node.args]
+    codes = {argument.value for argument in first if isinstance(argument, ast.Constant)}
+    text = (ROOT / "docs" / "refusals.md").read_text(encoding="utf-8")
+    assert len(codes) > 30
+    assert {code for code in codes if f"`{code}`" not in text} == set()

@@ -15,11 +15,12 @@ import carm_kin
 from carm_kin import result as r
 from carm_kin.errors import InputError
 from carm_kin.result import CalibrationResult
+from solvers.covariance import NORMAL_95
 from solvers.estimate import Covariance, Note
 
 DESIGN_KEYS = {
     "schema", "status", "solver", "options", "offset_sensor_pivot_mm", "major_radius_mm",
-    "major_radius_signed_mm", "minor_radius_mm",
+    "major_radius_signed_mm", "major_radius_interval_95_mm", "minor_radius_mm",
     "axis_non_orthogonality_deg", "orbital_axis_sensor", "placements", "T_sensor_carm", "orbital_referenced",
     "sigma", "covariance", "noise", "residuals", "poses", "used", "outliers", "observability", "warnings",
     "refusal", "provenance", "cross_validation",
@@ -92,6 +93,31 @@ def test_units_of_the_file(result):
     sigma_deg = data["sigma"]["axis_non_orthogonality_deg"]
     assert np.sqrt(data["covariance"]["matrix"][k][k]) == pytest.approx(sigma_deg, rel=1e-9)
     assert "orbital_axis_sensor_x" in names
+
+
+@pytest.mark.parametrize(
+    "R_m, sigma_m, expected_mm",
+    [
+        (12e-6, 20e-6, [0.0, 0.0511993]),
+        (0.0, 20e-6, [0.0, 0.0391993]),
+        (39e-6, 20e-6, [0.0, 0.0781993]),
+        (40e-6, 20e-6, [0.00080072, 0.07919928]),
+        (0.1, 1e-3, [98.040036, 101.959964]),
+        (0.1, 0.0, [100.0, 100.0]),
+        (0.1, None, None),
+        (None, None, None),
+    ],
+)
+def test_the_interval_of_the_major_radius(R_m, sigma_m, expected_mm, result, tmp_path):
+    """By hand: 1.959964 sigma on either side, from 0 where that would begin below."""
+    given = replace(result, major_radius_m=R_m, sigma=replace(result.sigma, major_radius_m=sigma_m))
+    interval = given.major_radius_interval_95_m
+    assert (None if interval is None else [x * 1e3 for x in interval]) == (expected_mm and pytest.approx(expected_mm))
+    assert given.to_dict()["major_radius_interval_95_mm"] == (expected_mm and pytest.approx(expected_mm))
+    text = given.to_json(tmp_path / "r.json")
+    back = CalibrationResult.from_json(tmp_path / "r.json")
+    assert back.major_radius_interval_95_m == (interval and pytest.approx(interval, rel=1e-15))
+    assert back.to_json() == text
 
 
 def test_a_result_comes_back_from_its_file(result, file):
@@ -181,6 +207,11 @@ def test_any_result_comes_back(tmp_path_factory, result):
     back = CalibrationResult.from_json(path)
     same(result, back)
     assert back.to_json() == text
+    if (interval := back.major_radius_interval_95_m) is not None:
+        low, high = interval
+        assert back.major_radius_m is not None
+        assert 0 <= low <= back.major_radius_m <= high
+        assert (low == 0) == (back.major_radius_m <= NORMAL_95 * (back.sigma.major_radius_m or 0.0))
 
 
 DELETE = object()
@@ -228,6 +259,12 @@ BROKEN = {
     "covariance skewed": (_set("covariance", "matrix", 0, 1, value=9.0), "not symmetric"),
     "residuals flat": (_set("residuals", value={}), "'overall' and 'per_sweep'"),
     "warning a text": (_set("warnings", value=["no"]), r"warnings\[0\] must be a JSON object"),
+    "no interval": (_set("major_radius_interval_95_mm", value=DELETE), "'major_radius_interval_95_mm' is missing"),
+    "interval unknown": (_set("major_radius_interval_95_mm", value=None), "interval of the major radius is not"),
+    "interval of one": (_set("major_radius_interval_95_mm", value=[60.0]), "interval of the major radius is not"),
+    "interval of texts": (_set("major_radius_interval_95_mm", value=["a", "b"]), r"95_mm\[0\] must be a finite"),
+    "another interval": (_set("major_radius_interval_95_mm", 0, value=0.0), "interval of the major radius is not"),
+    "another sigma": (_set("sigma", "major_radius_mm", value=3.0), "interval of the major radius is not"),
     "huge number": (_set("major_radius_mm", value=10**400), "major_radius_mm must be a finite number"),
 }  # fmt: skip
 

@@ -42,8 +42,10 @@ def test_a_sphere_gives_its_centre_and_no_radius(motion):
 def test_a_sphere_is_said_to_be_one():
     estimate = surface.solve(positions(machine(2, 0.0), wandering(500, 1), 1e-3))
     assert "nearly_sphere" in [note.code for note in estimate.notes]
+    assert not any(name.startswith(("major", "minor", "angular")) for name in estimate.covariance.names)
     ring = surface.solve(positions(machine(2, 1.2), wandering(500, 1), 1e-3))
     assert "nearly_sphere" not in [note.code for note in ring.notes]
+    assert {"major_radius", "minor_radius", "angular_axis_world[0]_x"} <= set(ring.covariance.names)
 
 
 @pytest.mark.parametrize("R", [1.2, 0.1, 0.0])
