@@ -17,9 +17,9 @@ from solvers.covariance import active_unknowns, covariance_of, marginal_covarian
 from solvers.elimination import Reduced, normal_equations
 from solvers.estimate import Estimate, Note
 from solvers.likelihood import AngleModel, linearise, retract
-from solvers.problem import Problem
+from solvers.problem import ANGULAR, ORBITAL, Problem
 from solvers.se3 import Array
-from solvers.torus import Torus
+from solvers.torus import Torus, near_median
 
 SIGMA_FLOOR = 1e-7
 """Least noise assumed, m and rad: well below any tracker's resolution, far above rounding."""
@@ -71,15 +71,32 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
 
 def _from_coarse(problem: Problem, used: np.ndarray, options: Options, fix_non_orthogonality: bool) -> Estimate:
     """The fit to all poses, started from the fit to some where there are many."""
-    agreeing = np.flatnonzero(used)
-    some = problem.select(agreeing[:: max(1, len(agreeing) // COARSE)])
-    axes = axes_of(some, fix_non_orthogonality)
-    torus, sigma = axes.torus(problem.select(agreeing)), None
+    torus, sigma = axes_of(_some(problem, used), fix_non_orthogonality).torus(problem.select(used)), None
+    if options.reject_outliers:
+        used = used & _agrees_with_labels(problem, torus)
+    some = _some(problem, used)
     if len(problem) > 2 * COARSE and some.placements == problem.placements:
         coarse = refine(some, torus, replace(options, reject_outliers=False), fix_non_orthogonality)
         if coarse.torus and coarse.sigma_t and coarse.sigma_r:
             torus, sigma = coarse.torus, (coarse.sigma_t, coarse.sigma_r)
     return refine(problem, torus, options, fix_non_orthogonality, used, sigma)
+
+
+def _some(problem: Problem, used: np.ndarray) -> Problem:
+    """About `COARSE` of the used poses."""
+    agreeing = np.flatnonzero(used)
+    return problem.select(agreeing[:: max(1, len(agreeing) // COARSE)])
+
+
+def _agrees_with_labels(problem: Problem, torus: Torus) -> np.ndarray:
+    """(N,) mask: no held joint's label is far from the angle that the orientation shows, as labels go."""
+    agrees = np.ones(len(problem), dtype=bool)
+    off = torus.angles(problem) - problem.label
+    for joint in (ANGULAR, ORBITAL):
+        known = np.flatnonzero(np.isfinite(off[:, joint]) & (problem.held[:, joint] >= 0))
+        if known.size:
+            agrees[known] &= near_median(np.angle(np.exp(1j * off[known, joint])))
+    return agrees
 
 
 def _sigma_of_epsilon(estimate: Estimate) -> float:

@@ -17,6 +17,9 @@ from solvers.se3 import Array, inverse, orthonormal_complement, rot_x, rot_y, ro
 SENSE_RADIUS_M = 1e-3
 """Above this major radius R >= 0 tells the direction of one axis from that of the other."""
 
+NEAR = 8.9
+"""Median deviations within which a labelled angle agrees with the others."""
+
 
 @dataclass(frozen=True, eq=False)
 class Torus:
@@ -192,7 +195,16 @@ def _zero(angle: Array, label: Array) -> float:
     known = np.isfinite(label)
     if not known.any():
         return float(angle[0]) if len(angle) else 0.0
-    return float(np.angle(np.exp(1j * (angle[known] - label[known])).sum()))
+    off = angle[known] - label[known]
+    about = float(np.angle(np.exp(1j * off).sum()))
+    off = np.angle(np.exp(1j * (off - about)))
+    return about + float(off[near_median(off)].mean())
+
+
+def near_median(values: Array) -> np.ndarray:
+    """Mask of the ``values`` (N,) within `NEAR` median deviations of their median, 6 sigma for normal ones."""
+    off = np.abs(values - np.median(values))
+    return off <= NEAR * np.median(off) + np.finfo(float).eps
 
 
 def surface_point(angles: Array, major_radius: float, minor_radius: float, gamma: float, t_y: float) -> Array:

@@ -371,3 +371,23 @@ def _bound_of_many_poses(truth, motion, labelled, sigma_t, sigma_r) -> float:
     free = J - A @ np.linalg.pinv(A) @ J
     H = np.einsum("nri,nrj->ij", free, free)
     return float(np.sqrt(np.trace(np.linalg.inv(H)[7:10, 7:10])))
+
+
+@pytest.mark.parametrize("seed", range(4))  # fewer than half of the labels of a joint contradict
+def test_a_stretch_whose_labels_contradict_the_others_does_not_hide_in_a_large_noise(seed):
+    # a tracker that freezes but jitters: a fifth of the poses stand still, with the labels of other sweeps
+    truth = machine(seed)
+    motion = sweeps_deg((-60, -30, 0, 30, 60), range(-70, 71, 2), (-40, 0, 40), range(-60, 61, 2))
+    sound = problem(truth, motion, 1e-3, 1e-3, seed)
+    n = len(sound)
+    first = int(np.random.default_rng(seed).integers(1, 0.4 * n))
+    frozen = np.arange(n)[first : first + n // 5]
+    p, R = sound.p_world_sensor.copy(), sound.rotations.copy()
+    p[frozen] = p[first - 1] + 2e-5 * np.random.default_rng(seed).normal(size=(len(frozen), 3))
+    R[frozen] = R[first - 1]
+    estimate = kinematic.solve(replace(sound, p_world_sensor=p, R_world_sensor=R))
+    contradicts = (np.abs(sound.label[frozen] - motion.angles[first - 1]) > np.radians(1)).any(axis=1)
+    assert contradicts.any()
+    assert not estimate.used[frozen[contradicts]].any()
+    assert estimate.sigma_t < 1.2e-3
+    assert np.linalg.norm(estimate.offset - truth.offset) < 5e-4  # its sigma is about 0.1 mm
