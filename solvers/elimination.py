@@ -76,12 +76,12 @@ class _Sums:
         here: slice,
     ) -> None:
         """Add a block of poses."""
-        B, A = _weighted(line, model, sigma)
+        B, A = weighted(line, model, sigma)
         self.distance2[here] = (B[:, RESIDUAL] ** 2).sum(axis=0)
         error = model.reading_error(angles)
         C = np.stack([np.einsum("rn,rkn->kn", A[:, j], B) for j in (0, 1)])
         C[:, RESIDUAL] += model.precision * error
-        G_inverse = _inverse_blocks(A, model)
+        G_inverse = inverse_blocks(A, model)
         X = self.response[..., here]
         X[0] = G_inverse[0, 0] * C[0] + G_inverse[0, 1] * C[1]
         X[1] = G_inverse[1, 0] * C[0] + G_inverse[1, 1] * C[1]
@@ -177,7 +177,7 @@ def columns_of(placements: int) -> np.ndarray:
     return np.stack([np.concatenate([6 * p + np.arange(6), shared]) for p in range(placements)])
 
 
-def _weighted(line: Linearisation, model: AngleModel, sigma: tuple[float, ...]) -> tuple[Array, Array]:
+def weighted(line: Linearisation, model: AngleModel, sigma: tuple[float, ...]) -> tuple[Array, Array]:
     """B (rows, 16, n) and A (rows, 2, n), scaled by the noise; A is zero where an angle is not free."""
     scale = np.repeat(1 / np.asarray(sigma), 3)[:, None]
     n = line.residual.shape[1]
@@ -203,7 +203,7 @@ def _moment(left: Array, right: Array) -> Array:
     return np.matmul(left, right.swapaxes(1, 2)).sum(axis=0)
 
 
-def _inverse_blocks(A: Array, model: AngleModel) -> Array:
+def inverse_blocks(A: Array, model: AngleModel) -> Array:
     """inv(G) (2, 2, N); the rows of angles that are not free are those of the identity. A ridge of 1e-12
     keeps poses in which both angles move the sensor alike from amplifying rounding."""
     a = (A[:, 0] ** 2).sum(axis=0) + model.precision[0] + ~model.free[0]
