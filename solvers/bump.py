@@ -86,7 +86,10 @@ def _confirmed(
     for clear in (CLEAR, CLEAR_OF_TWO):
         poses.append(int(np.flatnonzero(used)[change.pose]))
         problem, start = _divided(problem, torus, poses[-1], change.displacement)
-        fit = kinematic.refine(problem, start, kinematic.Options(), torus.non_orthogonality == 0.0, used)
+        try:
+            fit = kinematic.refine(problem, start, kinematic.Options(), torus.non_orthogonality == 0.0, used)
+        except np.linalg.LinAlgError:
+            return None
         if fit.torus is None or fit.angles is None or fit.used is None:
             return None
         torus, used, angles, part = fit.torus, fit.used, fit.angles[fit.used].T, problem.select(fit.used)
@@ -107,24 +110,17 @@ def _divided(problem: Problem, torus: Torus, pose: int, displacement: Array) -> 
     p = int(problem.placement[pose])
     here = np.flatnonzero(problem.placement == p)
     moved = torus.T_world_torus[p] @ exp_se3(displacement)
-    return apart(problem, here[here >= pose]), replace(
+    return problem.apart(here[here >= pose]), replace(
         torus,
         T_world_torus=np.concatenate([torus.T_world_torus, moved[None]]),
         referenced=np.append(torus.referenced, torus.referenced[p]),
     )
 
 
-def apart(problem: Problem, stretch: np.ndarray) -> Problem:
-    """The problem with the poses ``stretch`` (by index) in a placement and in sweeps of their own."""
-    placement, held = problem.placement.copy(), problem.held.copy()
-    placement[stretch] = problem.placements
-    held[stretch] = np.where(held[stretch] >= 0, held[stretch] + held.max() + 1, -1)
-    return replace(problem, placement=placement, held=held)
-
-
-def _bump(whole: Problem, divided: Problem, fit: Estimate, poses: list[int], offset: Array) -> Bump:
+def _bump(whole: Problem, divided: Problem, fit: Estimate, poses: list[int], offset: Array) -> Bump | None:
     """What the fit to the ``divided`` problem tells of the moves at ``poses``; ``offset`` (3,) is that without them."""
-    assert fit.torus is not None and fit.covariance is not None and fit.sigma_t and fit.sigma_r
+    if fit.torus is None or fit.covariance is None:
+        return None
     T, moves = fit.torus.T_world_torus, []
     for pose in poses:
         before = np.flatnonzero(whole.placement[:pose] == whole.placement[pose])[-1]
@@ -133,6 +129,5 @@ def _bump(whole: Problem, divided: Problem, fit: Estimate, poses: list[int], off
         moves.append((float(np.linalg.norm(new[:3, 3] - old[:3, 3])), float(np.linalg.norm(turn))))
     shift, turn = max(moves)
     bias = np.abs(fit.torus.offset - offset) / np.sqrt(np.diagonal(fit.covariance.block("offset")))
-    return Bump(
-        tuple(sorted(poses)), shift, turn, bool(shift > fit.sigma_t or turn > fit.sigma_r or bias.max() > HARMFUL)
-    )
+    beyond = shift > (fit.sigma_t or 0.0) or turn > (fit.sigma_r or 0.0) or bias.max() > HARMFUL
+    return Bump(tuple(sorted(poses)), shift, turn, bool(beyond))

@@ -21,6 +21,8 @@ CANDIDATES = 250
 """Poses of a placement at which a change is looked for at first; then at every pose near the best of them."""
 UNSEEN = 1e-6
 """Share of the information on a direction that the nuisance must leave for it to count as seen."""
+EXACT = 1e-3
+"""Mean square of the weighted residuals below which they are rounding, not noise."""
 ROUNDING = 1e-9
 """Share of the greatest information below which that on another coordinate is rounding: a roll that no label sees."""
 ORDERS = (1, 2, 3)
@@ -79,19 +81,20 @@ def most_likely(rows: Array, problem: Problem, by: Array | None = None) -> Chang
         products = np.einsum("rin,rkn->ikn", U[:, TORUS], U)
         step = max(1, len(here) // CANDIDATES)
         cuts = np.arange(first, last + 1, step)
-        near = cuts[np.argmax(normal.lowered(p, _after(products, cuts), _squares_after(products, cuts))[0])]
+        near = cuts[np.argmax(normal.lowered(p, _after(products, cuts))[0])]
         cuts = np.arange(max(first, near - step), min(last, near + step) + 1)
-        lowered, seen, delta = normal.lowered(p, _after(products, cuts), _squares_after(products, cuts))
+        lowered, seen, delta = normal.lowered(p, _after(products, cuts))
         k = int(np.argmax(lowered))
         if best is None or lowered[k] > best.statistic:
             dof = FREEDOM * len(problem) - normal.rank - seen[k]
-            F = lowered[k] / seen[k] / max((normal.cost - lowered[k]) / dof, 1e-300) if min(dof, seen[k]) > 0 else 0.0
+            known = min(dof, seen[k]) > 0
+            F = lowered[k] / seen[k] / max((normal.cost - lowered[k]) / dof, EXACT) if known else 0.0
             best = Change(
                 pose=int(here[cuts[k]]),
                 displacement=delta[k],
                 statistic=float(lowered[k]),
                 drift=_drift(normal, p, products),
-                probability=min(1.0, len(here) * float(fdtrc(seen[k], dof, F))) if F > 0 else 1.0,
+                probability=min(1.0, len(problem) * float(fdtrc(seen[k], dof, F))) if known else 1.0,
             )
     return best
 
@@ -109,10 +112,6 @@ def _after(products: Array, cuts: np.ndarray) -> Array:
     """Sums (K, 6, C) of the poses' products (6, C, n) from each cut on."""
     bins = np.add.reduceat(products, cuts, axis=-1)
     return np.moveaxis(np.cumsum(bins[..., ::-1], axis=-1)[..., ::-1], -1, 0)
-
-
-def _squares_after(products: Array, cuts: np.ndarray) -> Array:
-    return _after(products[:, TORUS], cuts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,10 +148,11 @@ class _Normal:
         g = H[:-1, -1]
         return _Normal(C, g, float(H[-1, -1] - g @ C @ g), int(kept.sum()), columns)
 
-    def lowered(self, p: int, after: Array, squares: Array) -> tuple[Array, np.ndarray, Array]:
+    def lowered(self, p: int, after: Array, squares: Array | None = None) -> tuple[Array, np.ndarray, Array]:
         """By how much K displacements of the torus p, of M unknowns each, lower the sum of squares (K,), how many of
         their directions are seen (K,), and the displacements (K, M). ``after`` (K, M, C) are their products with all,
-        ``squares`` (K, M, M) with themselves."""
+        ``squares`` (K, M, M) with themselves, where these are not the first columns of ``after``."""
+        squares = after[..., TORUS] if squares is None else squares
         D, mine = after[..., :-1], self.columns[p]
         CD = self.C[np.ix_(mine, mine)] @ D.swapaxes(1, 2)
         g = after[..., -1] - np.einsum("kil,l->ki", D, (self.C @ self.g)[mine])
