@@ -97,8 +97,11 @@ def _confirmed(
         rest, other = (most_likely(rows_of(line, angles, part, sigma, flex), part) for flex in (True, False))
         if rest is None or other is None:
             return None
-        if rest.statistic * clear < least or (len(poses) == 1 and rest.probability > QUIET):
-            return _bump(whole, problem, fit, poses, offset) if explained > plain.drift + BETTER else None
+        quiet = len(poses) == 1 and rest.probability > QUIET
+        if (quiet or rest.statistic * clear < least) and explained > plain.drift + BETTER:
+            return _bump(whole, problem, fit, poses, offset)
+        if quiet:
+            return None
         explained += other.statistic
         change, least = rest, min(least, rest.statistic)
     return None
