@@ -87,9 +87,9 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         or _too_many_rejected(used, moved_at, limits)
         or _undetermined(covariance, unobservable, limits)
     )
-    asked = not causes and moved_at is None and (refusal is None or refusal.code == "misfit")
-    bump = bump_of(problem, estimate, angles, sigma, line) if asked else None
-    moved = (bump.note,) if bump else ()
+    open_question = refusal is None or (refusal.code == "misfit" and moved_at is None)
+    bump = bump_of(problem, estimate, angles, sigma, line) if open_question and not causes else None
+    moved, moved_at = ((bump.note,), None) if bump else ((), moved_at)
     causes = moved if bump and bump.harmful else causes
     fitted = estimate.covariance is not None and not refusal and not causes
     clean = residual_notes(part, angles, residual, at.redundancy[0]) if fitted else ()
