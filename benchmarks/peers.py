@@ -55,5 +55,6 @@ def sparse_likelihood(problem: Problem) -> Torus:
         J = np.concatenate([line.by_local, own[:, None]], axis=1) * scale[:, None]
         return csr_matrix((J.transpose(2, 0, 1).ravel(), index, rows), shape=(6 * n, LOCAL + n))
 
-    found = least_squares(residuals, np.zeros(LOCAL + n), jacobian, method="trf", x_scale="jac", tr_solver="lsmr")
+    start_at = np.zeros(LOCAL + n)
+    found = least_squares(residuals, start_at, jacobian, method="trf", x_scale="jac", tr_solver="lsmr")  # pyright: ignore[reportArgumentType]
     return retract(start, found.x[:LOCAL])

@@ -103,8 +103,8 @@ def _high_water_mb() -> float:
 NOTES = """Medians of warm runs in one process, one thread; a contender that takes more than 5 s is run once. Memory is
 the peak of a fresh process that solves once, less that of one that only makes the poses. `closed_form` first searches
 for outliers; the row below is the closed form alone. SciPy's sparse peer minimises the likelihood of `kinematic` (every
-angle an unknown, `trf` with `lsmr`) from the closed form, the noise being given; its lm on Eq. 6 starts at the centre of
-the positions. Growth is time per pose at the most poses over that at 10,080: 1 is linear."""
+angle an unknown, `trf` with `lsmr`) from the closed form, the noise being given; its lm on Eq. 6 starts at the centre
+of the positions. Growth is time per pose at the most poses over that at 10,080: 1 is linear."""
 
 
 def table(rows: list[Row], seconds: float, command: str) -> str:

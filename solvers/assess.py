@@ -10,6 +10,7 @@ import numpy as np
 
 from solvers import kinematic
 from solvers.axes import ambiguous
+from solvers.bump import bump_of
 from solvers.covariance import active_unknowns, covariance_of, marginal_covariance, scaled_spectrum
 from solvers.diagnose import LABELS, base_moved_at, causes_of
 from solvers.elimination import normal_equations
@@ -60,7 +61,8 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
     else:
         angles, sigma = estimate.angles.T[:, used], (estimate.sigma_t or 0.0, estimate.sigma_r or 0.0)
         at = normal_equations(torus, angles, part, AngleModel.of(part), sigma)
-    residual = linearise(torus, angles, part).residual
+    line = linearise(torus, angles, part)
+    residual = line.residual
     active = active_unknowns(part, fix_non_orthogonality=torus.non_orthogonality == 0.0)
     values, vectors, scale = scaled_spectrum(at.H, active)
     covariance = covariance_of(torus, marginal_covariance(at.H, active))
@@ -86,6 +88,10 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         or _too_many_rejected(used, moved_at, limits)
         or _undetermined(covariance, unobservable, limits)
     )
+    open_question = refusal is None or (refusal.code == "misfit" and moved_at is None)
+    bump = bump_of(problem, estimate, angles, sigma, line) if open_question and not causes else None
+    moved, moved_at = ((bump.note,), None) if bump else ((), moved_at)
+    causes = moved if bump and bump.harmful else causes
     fitted = estimate.covariance is not None and not refusal and not causes
     clean = residual_notes(part, angles, residual, at.redundancy[0]) if fitted else ()
     return Assessment(
@@ -97,7 +103,7 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         chi2_per_dof=float(chi2_per_dof),
         singular_values=values[::-1],
         unobservable=unobservable,
-        notes=(*_rejections(used, moved_at, limits), *causes, *clean),
+        notes=(*_rejections(used, moved_at, limits), *(causes or moved), *clean),
         refusal=_with_causes(refusal, causes, used, limits),
     )
 

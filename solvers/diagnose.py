@@ -153,11 +153,10 @@ def moved_base(evidence: Evidence) -> Iterator[Suspect]:
     at = base_moved_at(some, fit) if fit else None
     if at is None:
         return
-    placement = some.placement.copy()
-    placement[at:][placement[at:] == placement[at]] = some.placements
+    here = np.flatnonzero(some.placement == some.placement[at])
     pose = evidence.some[at]
     note = Note("base_moved", f"the base seems to have been moved at about pose {pose}; give each part a 'placement'")
-    yield Suspect(note, replace(some, placement=placement))
+    yield Suspect(note, some.apart(here[here >= at]))
 
 
 CAUSES: tuple[Callable[[Evidence], Iterator[Suspect]], ...] = (
@@ -226,10 +225,8 @@ def base_moved_at(problem: Problem, estimate: Estimate) -> int | None:
     if change is None:
         return None
     stretch = here[:change] if ours[:change].mean() > ours[change:].mean() else here[change:]
-    moved = problem.placement.copy()
-    moved[stretch] = problem.placements
     try:
-        fit = kinematic.solve(replace(problem, placement=moved))
+        fit = kinematic.solve(problem.apart(stretch))
     except np.linalg.LinAlgError:
         return None
     explained = fit.used is not None and fit.used[stretch].mean() > CONTIGUOUS

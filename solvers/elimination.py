@@ -76,12 +76,12 @@ class _Sums:
         here: slice,
     ) -> None:
         """Add a block of poses."""
-        B, A = _weighted(line, model, sigma)
+        B, A = weighted(line, model, sigma)
         error = model.reading_error(angles)
         C = np.stack([np.einsum("rn,rkn->kn", A[:, j], B) for j in (0, 1)])
         C[:, RESIDUAL] += model.precision * error
-        own = _blocks_of(A[:3]), _blocks_of(A[3:])
-        G_inverse = _inverse_blocks(own[0] + own[1], model)
+        own = blocks_of(A[:3]), blocks_of(A[3:])
+        G_inverse = inverse_blocks(own[0] + own[1], model)
         X = self.response[..., here]
         X[0] = G_inverse[0] * C[0] + G_inverse[1] * C[1]
         X[1] = G_inverse[1] * C[0] + G_inverse[2] * C[1]
@@ -181,7 +181,7 @@ def columns_of(placements: int) -> np.ndarray:
     return np.stack([np.concatenate([6 * p + np.arange(6), shared]) for p in range(placements)])
 
 
-def _weighted(line: Linearisation, model: AngleModel, sigma: tuple[float, ...]) -> tuple[Array, Array]:
+def weighted(line: Linearisation, model: AngleModel, sigma: tuple[float, ...]) -> tuple[Array, Array]:
     """B (rows, 16, n) and A (rows, 2, n), scaled by the noise; A is zero where an angle is not free."""
     scale = np.repeat(1 / np.asarray(sigma), 3)[:, None]
     n = line.residual.shape[1]
@@ -207,12 +207,12 @@ def _moment(left: Array, right: Array) -> Array:
     return np.matmul(left, right.swapaxes(1, 2)).sum(axis=0)
 
 
-def _blocks_of(A: Array) -> Array:
+def blocks_of(A: Array) -> Array:
     """ATA of every pose from its rows A (rows, 2, N), as its entries 00, 01 and 11 (3, N)."""
     return np.stack([(A[:, 0] ** 2).sum(axis=0), (A[:, 0] * A[:, 1]).sum(axis=0), (A[:, 1] ** 2).sum(axis=0)])
 
 
-def _inverse_blocks(G: Array, model: AngleModel) -> Array:
+def inverse_blocks(G: Array, model: AngleModel) -> Array:
     """inv(G + readings), entries 00, 01 and 11 (3, N) as those of G; the rows of angles that are not free are those
     of the identity. A ridge of 1e-12 keeps rounding small where both angles of a pose move the sensor alike."""
     a, d = G[[0, 2]] + model.precision + ~model.free

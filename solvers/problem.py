@@ -90,6 +90,13 @@ class Problem:
             label=self.label[poses],
         )
 
+    def apart(self, poses: np.ndarray) -> "Problem":
+        """The same with the ``poses``, by index, in one more placement and in sweeps of their own."""
+        placement, held = self.placement.copy(), self.held.copy()
+        placement[poses] = self.placements
+        held[poses] = np.where(held[poses] >= 0, held[poses] + held.max(initial=0) + 1, -1)
+        return replace(self, placement=placement, held=held)
+
     def without_labels(self) -> "Problem":
         """The same poses with nothing known of the joints."""
         blank = Problem.of_poses(self.p_world_sensor, self.R_world_sensor)
