@@ -8,13 +8,11 @@ import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from html import escape
-from pathlib import Path
 
 import numpy as np
 
 import solvers
-from benchmarks import scenes
+from benchmarks import plots, scenes
 from benchmarks.scenes import Motion, noise_or_floor
 from solvers.bound import cramer_rao
 from solvers.covariance import active_unknowns, marginal_covariance
@@ -25,9 +23,7 @@ from solvers.se3 import Array, log_so3
 from solvers.torus import Torus
 
 SOLVERS = ("kinematic", "closed_form", "direct", "decomposed")
-COLOURS = dict(zip(SOLVERS, ("#0b6e4f", "#1f6feb", "#c2410c", "#6b7280"), strict=True))
 STREAM = 0xACC
-PLOT = Path(__file__).with_name("accuracy.svg")
 POSITION = {"kinematic": 1.1, "closed_form": 1.3, "direct": 1.5}
 ROTATION = {"kinematic": 1.1, "closed_form": 1.5, "direct": 1.8}
 
@@ -169,33 +165,6 @@ def other_table(rows: list[Row]) -> str:
     return scenes.show("R, orientation of the torus frame, and estimated over true noise (kinematic)", header, lines)
 
 
-def plot(rows: list[Row], path: Path = PLOT) -> None:
-    """The ratios as an SVG, one line a condition; beyond the right edge they are drawn at it."""
-    left, width, step, top, most = 230, 520, 26, 56, 2.5
-    height = top + step * len(rows) + 20
-
-    def x(ratio: float) -> float:
-        return left + width * (min(max(ratio, 0.8), most) - 0.8) / (most - 0.8)
-
-    parts = [f'<rect width="{left + width + 30}" height="{height}" fill="white"/>']
-    for k, name in enumerate(SOLVERS):
-        parts.append(f'<circle cx="{left + 130 * k}" cy="16" r="5" fill="{COLOURS[name]}"/>')
-        parts.append(f'<text x="{left + 130 * k + 10}" y="20">{name}</text>')
-    for tick in (0.8, 1.0, 1.1, 1.3, 1.5, 2.0, 2.5):
-        parts.append(f'<path d="M{x(tick):.1f} {top - 8}V{height - 16}" stroke="#d0d7de"/>')
-        parts.append(f'<text x="{x(tick):.1f}" y="{top - 14}" text-anchor="middle">{tick:g}</text>')
-    for k, row in enumerate(rows):
-        y = top + step * k + 8
-        parts.append(f'<text x="{left - 12}" y="{y + 4}" text-anchor="end">{escape(row.condition.name)}</text>')
-        for j, name in reversed(list(enumerate(SOLVERS))):
-            cx, cy = x(row.ratio(name)), y + 4 * (j - 1.5)
-            parts.append(f'<circle cx="{cx:.1f}" cy="{cy:.1f}" r="4" fill="{COLOURS[name]}"/>')
-    frame = f'xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {left + width + 30} {height}"'
-    title = "<title>RMS error of the offset over its Cramér-Rao bound, by condition and solver</title>"
-    body = "\n".join([title, *parts])
-    path.write_text(f'<svg {frame} font-family="sans-serif" font-size="12">\n{body}\n</svg>\n', encoding="utf-8")
-
-
 NOTES = """Random geometries (R 50 to 200 mm but where stated), the paper's 10,080 poses with labels of the held
 joints, default options, noise unknown to the solver. The paper's figures are read from its plots of noise (averages
 of two geometries) and of trajectories (one angular sweep). The bound is that of `kinematic` (labels known, epsilon
@@ -220,9 +189,9 @@ def main() -> None:
     parts = [found[k * given.seeds : (k + 1) * given.seeds] for k in range(len(CONDITIONS))]
     rows = [row_of(condition, seeds) for condition, seeds in zip(CONDITIONS, parts, strict=True)]
     tables = offset_table(rows), other_table(rows)
-    plot(rows)
     head = scenes.provenance(f"python -m benchmarks.accuracy --seeds {given.seeds}", time.perf_counter() - begin)
-    chart = "![Ratios to the bound](accuracy.svg)"
+    dots = {row.condition.name: {name: row.ratio(name) for name in SOLVERS} for row in rows}
+    chart = plots.ratios("accuracy.svg", "RMS error of the offset over its Cramér-Rao bound", dots)
     scenes.write_section("accuracy", "\n\n".join(["## Accuracy", head, NOTES, tables[0], chart, tables[1]]))
 
 

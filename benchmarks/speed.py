@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import solvers
-from benchmarks import peers, scenes
+from benchmarks import peers, plots, scenes
 from solvers.problem import Problem
 
 PAPER, MILLION = 10_080, 1_000_000
@@ -115,7 +115,9 @@ def table(rows: list[Row], seconds: float, command: str) -> str:
     found = {(row.name, row.poses): f"{row.time_ms:.1f} ({row.memory_mb:.0f})" for row in rows}
     lines = [[name, *(found.get((name, n), "-") for n in sizes), _growth(rows, name)] for name in names]
     text = scenes.show("Time (ms) and peak memory (MB)", header, lines)
-    return f"## Speed and growth\n\n{scenes.provenance(command, seconds)}\n\n{NOTES}\n\n{text}"
+    curves = {name: [(row.poses, row.time_ms) for row in rows if row.name == name] for name in names}
+    chart = plots.growth("speed.svg", "Time of one calibration", "ms", curves)
+    return f"## Speed and growth\n\n{scenes.provenance(command, seconds)}\n\n{NOTES}\n\n{text}\n\n{chart}"
 
 
 def _growth(rows: list[Row], name: str) -> str:
