@@ -30,6 +30,10 @@ MIN_POSES = 12
 """Fewest positions for the eight unknowns."""
 FLAT = 0.01
 """Thickness of the positions, relative to their extent, below which they lie in a plane."""
+COARSE = (2000, 50_000)
+"""Positions among which the best start is found, and more on which it settles, before all take part."""
+SETTLED = 1e-2
+"""The fit ends where a step lowers the sum of squares by less than this, in noise variances."""
 NEARLY_SPHERE = 0.03
 """Relative deviation from a sphere below which the algebraic start is not trusted alone."""
 
@@ -51,8 +55,17 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
         center = problem.p_world_sensor.mean(axis=0)[None]
         return Estimate("surface", center=center, unobservable=unobservable, converged=False)
     positions = Problem.of_poses(problem.p_world_sensor, None)
-    fits = [_refine(positions, start, options) for start in _starts(problem.p_world_sensor)]
-    return min(fits, key=lambda fit: fit.sigma_t or 0.0)
+    some = _thinned(positions, COARSE[0])
+    best = min((_refine(some, start, options) for start in _starts(some.p_world_sensor)), key=lambda fit: fit.at.cost)
+    for poses in (*COARSE[1:], len(positions)):
+        if len(some) < len(positions):
+            some = _thinned(positions, poses)
+            best = _refine(some, best.torus, options)
+    return _estimate(positions, best)
+
+
+def _thinned(problem: Problem, poses: int) -> Problem:
+    return problem.select(slice(None, None, max(1, len(problem) // poses)))
 
 
 def _flat(p: Array) -> tuple[str, ...]:
@@ -106,7 +119,17 @@ def _torus(c: Array, n: Array, R: float, b: float, t_y: float, mean: Array, scal
     return Torus(T_world_torus, scale * R, 0.0, T_sensor_carm, np.array([False]), False)
 
 
-def _refine(problem: Problem, torus: Torus, options: Options) -> Estimate:
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    torus: Torus
+    angles: Array
+    at: Reduced
+    active: np.ndarray
+    iterations: int
+    converged: bool
+
+
+def _refine(problem: Problem, torus: Torus, options: Options) -> _Fit:
     model = AngleModel.of(problem)
     active = active_unknowns(problem, fix_non_orthogonality=True)
     active[[8, 11, 12, 13]] = False  # the mount has two unknowns left, t_y and b
@@ -121,17 +144,17 @@ def _refine(problem: Problem, torus: Torus, options: Options) -> Estimate:
         A = inner / np.outer(scale, scale) + damping * np.eye(len(inner))
         step[active] = -np.linalg.solve(A, at.g[active] / scale) / scale
         trial = retract(torus, step)
-        trial_angles = nearest_angles(trial, problem)
+        trial_angles = angles + at.angle_step(step)
         there = normal_equations(trial, trial_angles, problem, model, (1.0,))
         gain = at.cost - there.cost
         if gain >= 0:
             torus, angles, at = trial, trial_angles, there
             damping = max(damping * 0.1, 1e-15)
-            converged = gain <= 1e-10 * at.cost or at.cost < len(problem) * 1e-24
+            converged = gain <= SETTLED * at.cost / len(problem) or at.cost < len(problem) * 1e-24
         else:
             damping *= 10
             converged = damping > 1e8
-    return _estimate(problem, torus, angles, at, active, iteration, converged)
+    return _Fit(torus, angles, at, active, iteration, converged)
 
 
 def nearest_angles(torus: Torus, problem: Problem) -> Array:
@@ -149,12 +172,11 @@ def nearest_angles(torus: Torus, problem: Problem) -> Array:
     return np.stack([alpha, np.arctan2(q[:, 0], u - R)])
 
 
-def _estimate(
-    problem: Problem, torus: Torus, angles: Array, at: Reduced, active: np.ndarray, iteration: int, converged: bool
-) -> Estimate:
-    redundancy = max(len(problem) - int(active.sum()), 1)
+def _estimate(problem: Problem, fit: _Fit) -> Estimate:
+    torus, at = fit.torus, fit.at
+    redundancy = max(len(problem) - int(fit.active.sum()), 1)
     sigma = max(float(np.sqrt(at.cost / redundancy)), SIGMA_FLOOR_M)
-    covariance = covariance_of(torus, marginal_covariance(at.H / sigma**2, active))
+    covariance = covariance_of(torus, marginal_covariance(at.H / sigma**2, fit.active))
     notes = [
         Note(
             "offset_not_determined",
@@ -182,8 +204,8 @@ def _estimate(
         minor_radius=torus.minor_radius,
         sigma_t=sigma,
         covariance=covariance.select(kept),
-        residual=linearise(torus, angles, problem).residual.T,
-        iterations=iteration,
-        converged=converged,
+        residual=linearise(torus, fit.angles, problem).residual.T,
+        iterations=fit.iterations,
+        converged=fit.converged,
         notes=tuple(notes),
     )
