@@ -18,6 +18,8 @@ from solvers.problem import Problem
 
 MIN_POSES = 6
 """Fewer rejected poses than this are not asked for a cause."""
+LOUDER = 1.5
+"""Ratio of the noise of two fits from which on the second explains the poses by noise."""
 CONTIGUOUS = 0.8
 """Share of rejected poses within the stretch that they span, from which on they count as one stretch."""
 TRIED = 500
@@ -229,8 +231,14 @@ def base_moved_at(problem: Problem, estimate: Estimate) -> int | None:
         fit = kinematic.solve(problem.apart(stretch))
     except np.linalg.LinAlgError:
         return None
-    explained = fit.used is not None and fit.used[stretch].mean() > CONTIGUOUS
-    return int(here[change]) if explained else None
+    agrees = fit.used is not None and fit.used[stretch].mean() > CONTIGUOUS
+    return int(here[change]) if agrees and _as_quiet(fit, estimate) else None
+
+
+def _as_quiet(fit: Estimate, before: Estimate) -> bool:
+    """Whether the noise did not have to grow for it."""
+    pairs = (fit.sigma_t, before.sigma_t), (fit.sigma_r, before.sigma_r)
+    return all(new is not None and old is not None and new < LOUDER * old for new, old in pairs)
 
 
 def _best_split(rejected: np.ndarray) -> int | None:

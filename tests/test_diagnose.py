@@ -264,3 +264,14 @@ def test_a_moved_base_is_found_from_what_the_solver_rejected():
     verdict = assess(given, kinematic.solve(given))
     assert [note.code for note in verdict.notes] == ["base_moved"]
     assert "pose 323" in verdict.notes[0].message
+
+
+def test_a_flipped_marker_at_the_end_is_no_moved_base():
+    motion = sweeps_deg(range(-90, 91, 30), range(0, 360, 6), range(0, 161, 20), range(0, 360, 6))
+    late = np.arange(len(motion)) >= round(0.8 * len(motion))
+    for seed in (0, 4, 9):
+        given = problem(machine(seed), motion, 1e-3, float(np.radians(0.1)), seed=seed)
+        flipped = given.rotations @ np.diag([1.0, -1.0, -1.0])
+        given = replace(given, R_world_sensor=np.where(late[:, None, None], flipped, given.rotations))
+        verdict = assess(given, kinematic.solve(given))
+        assert [note.code for note in verdict.notes] == ["many_rejected"]
