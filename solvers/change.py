@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import fdtrc
 
-from solvers.elimination import blocks_of, inverse_blocks, weighted
 from solvers.likelihood import LOCAL, AngleModel, Linearisation
+from solvers.own_angles import blocks_of, inverse_blocks, weighted
 from solvers.problem import Problem
 from solvers.reduced import RESIDUAL
 from solvers.se3 import Array, rot_y

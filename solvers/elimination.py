@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from solvers.likelihood import LOCAL, AngleModel, Linearisation, linearise
+from solvers.own_angles import blocks_of, inverse_blocks, traces, weighted
 from solvers.problem import Problem
 from solvers.reduced import HELD, RESIDUAL, WIDTH, Reduced
 from solvers.se3 import Array
@@ -112,7 +113,7 @@ class _Sums:
 
         square = (B[:, RESIDUAL].reshape(len(sigma), -1) ** 2).sum(axis=1) * np.square(sigma)
         self.squares[: len(sigma)] += square
-        absorbed, exchanged = _traces(G_inverse, *own)
+        absorbed, exchanged = traces(G_inverse, *own)
         self.absorbed_position += absorbed
         self.exchanged += exchanged
 
@@ -181,19 +182,6 @@ def columns_of(placements: int) -> np.ndarray:
     return np.stack([np.concatenate([6 * p + np.arange(6), shared]) for p in range(placements)])
 
 
-def weighted(line: Linearisation, model: AngleModel, sigma: tuple[float, ...]) -> tuple[Array, Array]:
-    """B (rows, 16, n) and A (rows, 2, n), scaled by the noise; A is zero where an angle is not free."""
-    scale = np.repeat(1 / np.asarray(sigma), 3)[:, None]
-    n = line.residual.shape[1]
-    B = np.empty((len(scale), WIDTH, n))
-    np.multiply(line.by_local, scale[:, None], out=B[:, :LOCAL])
-    A = line.by_angle * scale[:, None]
-    held = model.sweep >= 0
-    B[:, HELD] = np.where(held, A[:, model.sweep_joint, np.arange(n)], 0.0) if held.any() else 0.0
-    B[:, RESIDUAL] = line.residual * scale
-    return B, A * model.free
-
-
 def _members(part: Problem) -> list[tuple[int, slice | np.ndarray]]:
     """The placements in a block, each with its poses."""
     first = int(part.placement[0])
@@ -205,33 +193,6 @@ def _members(part: Problem) -> list[tuple[int, slice | np.ndarray]]:
 def _moment(left: Array, right: Array) -> Array:
     """Sum over rows and poses of the outer products of the columns."""
     return np.matmul(left, right.swapaxes(1, 2)).sum(axis=0)
-
-
-def blocks_of(A: Array) -> Array:
-    """ATA of every pose from its rows A (rows, 2, N), as its entries 00, 01 and 11 (3, N)."""
-    return np.stack([(A[:, 0] ** 2).sum(axis=0), (A[:, 0] * A[:, 1]).sum(axis=0), (A[:, 1] ** 2).sum(axis=0)])
-
-
-def inverse_blocks(G: Array, model: AngleModel) -> Array:
-    """inv(G + readings), entries 00, 01 and 11 (3, N) as those of G; the rows of angles that are not free are those
-    of the identity. A ridge of 1e-12 keeps rounding small where both angles of a pose move the sensor alike."""
-    a, d = G[[0, 2]] + model.precision + ~model.free
-    b = G[1]
-    ridge = 1e-12 * (a + d) + np.finfo(float).tiny
-    a, d = a + ridge, d + ridge
-    return np.stack([d, -b, a]) / (a * d - b * b)
-
-
-def _traces(G_inverse: Array, position: Array, rotation: Array) -> tuple[float, float]:
-    """Sums over the poses of tr inv(G) P and tr inv(G) P inv(G) R, with P and R the blocks (3, N) of both kinds."""
-
-    def product(block: Array) -> tuple[Array, ...]:
-        (g, h, k), (a, b, d) = G_inverse, block
-        return g * a + h * b, g * b + h * d, h * a + k * b, h * b + k * d
-
-    p, r = product(position), product(rotation)
-    exchanged = p[0] * r[0] + p[1] * r[2] + p[2] * r[1] + p[3] * r[3]
-    return float((p[0] + p[3]).sum()), float(exchanged.sum())
 
 
 def _assembled(moment: Array, columns: np.ndarray, size: int) -> Array:
