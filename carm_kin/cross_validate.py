@@ -12,8 +12,9 @@ import numpy as np
 
 from carm_kin.calibrate import calibrate
 from carm_kin.errors import InputError, RefusedError
+from carm_kin.held_out import CrossValidation, HeldOut
 from carm_kin.recording import Recording, to_problem
-from carm_kin.result import CalibrationResult, CrossValidation, HeldOut
+from carm_kin.result import CalibrationResult
 from solvers.estimate import Note
 from solvers.kinematic import fit_angles
 from solvers.likelihood import linearise

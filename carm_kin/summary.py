@@ -4,7 +4,8 @@ import numpy as np
 from rich.console import Console
 
 from carm_kin.check_result import Angle, Check, Length
-from carm_kin.result import CalibrationResult, HeldOut
+from carm_kin.held_out import HeldOut
+from carm_kin.result import CalibrationResult
 from solvers.estimate import Note
 from solvers.se3 import Array
 
