@@ -1,0 +1,104 @@
+"""Bases and mounts in closed form: X_p F_i Y_s = T_i for poses T_i and known kinematics F_i.
+
+Rotations by the Kronecker product (Shah, J. Mechanisms Robotics 5, 2013): sum_i kron(R_i, F_i) has the leading
+singular vectors vec(X) and vec(YT). Translations are linear then. Poses that disagree are left out by their median.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solvers.se3 import Array, inverse, log_so3, project_so3, transform
+from solvers.torus import near_median
+
+ROUNDS = 8
+LEAST_ROTATION = 1e-3
+"""Least ratio of the second to the first singular value by which one axis is told from two."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotWorld:
+    """P bases, S mounts."""
+
+    T_world_base: Array
+    """(P, 4, 4)."""
+    T_last_sensor: Array
+    """(S, 4, 4)."""
+    agrees: np.ndarray
+    """(N,) mask of the poses that were believed."""
+
+
+def robot_world(T: Array, F: Array, placement: np.ndarray, sensor: np.ndarray) -> RobotWorld | None:
+    """From T_world_sensor (N, 4, 4) and T_base_last (N, 4, 4); None where they turn about one axis only, or a base or a
+    mount is linked to no other."""
+    agrees = np.ones(len(T), dtype=bool)
+    found = None
+    for _ in range(ROUNDS):
+        rotations = _rotations(T[agrees], F[agrees], placement[agrees], sensor[agrees])
+        if rotations is None:
+            return None
+        X, Y = rotations
+        X, Y = _with_translations(X, Y, T[agrees], F[agrees], placement[agrees], sensor[agrees])
+        off = inverse(X[placement] @ F @ Y[sensor]) @ T
+        good = near_median(np.linalg.norm(off[:, :3, 3], axis=1))
+        good &= near_median(np.linalg.norm(log_so3(off[:, :3, :3]), axis=1))
+        found = RobotWorld(X, Y, good)
+        if (good == agrees).all():
+            break
+        agrees = good
+    return found
+
+
+def _rotations(T: Array, F: Array, placement: np.ndarray, sensor: np.ndarray) -> tuple[Array, Array] | None:
+    """Of all bases (P, 4, 4) and mounts (S, 4, 4), spread from the pair with the most poses."""
+    P, S = int(placement.max(initial=0)) + 1, int(sensor.max(initial=0)) + 1
+    counts = np.zeros((P, S), dtype=int)
+    np.add.at(counts, (placement, sensor), 1)
+    X, Y = np.zeros((P, 3, 3)), np.zeros((S, 3, 3))
+    first = np.unravel_index(int(counts.argmax()), counts.shape)
+    here = (placement == first[0]) & (sensor == first[1])
+    pair = _pair(T[here, :3, :3], F[here, :3, :3])
+    if pair is None:
+        return None
+    X[first[0]], Y[first[1]] = pair
+    bases, mounts = {int(first[0])}, {int(first[1])}
+    while len(bases) < P or len(mounts) < S:
+        links = [(counts[p, s], p, s) for p, s in np.argwhere(counts > 0) if (p in bases) != (s in mounts)]
+        if not links:
+            return None
+        _, p, s = max(links)
+        here = (placement == p) & (sensor == s)
+        R, K = T[here, :3, :3], F[here, :3, :3]
+        if p in bases:
+            Y[s] = project_so3((np.swapaxes(X[p] @ K, 1, 2) @ R).sum(axis=0))
+        else:
+            X[p] = project_so3((R @ np.swapaxes(K @ Y[s], 1, 2)).sum(axis=0))
+        bases.add(int(p))
+        mounts.add(int(s))
+    return X, Y
+
+
+def _pair(R: Array, F: Array) -> tuple[Array, Array] | None:
+    """X and Y (3, 3) with X F_i Y = R_i."""
+    N = np.einsum("nab,ncd->acbd", R, F).reshape(9, 9)
+    u, values, vt = np.linalg.svd(N)
+    if values[0] - values[1] < LEAST_ROTATION * values[0]:
+        return None
+    X, Yt = u[:, 0].reshape(3, 3), vt[0].reshape(3, 3)
+    sign = np.sign(np.linalg.det(X))
+    X, Yt = project_so3(sign * X), project_so3(sign * Yt)
+    return X, Yt.T
+
+
+def _with_translations(
+    X: Array, Y: Array, T: Array, F: Array, placement: np.ndarray, sensor: np.ndarray
+) -> tuple[Array, Array]:
+    """Transforms (P, 4, 4) and (S, 4, 4): p_i = X_p (F_i y_s + f_i) + x_p by linear least squares."""
+    P, S, n = len(X), len(Y), len(T)
+    A = np.zeros((n, 3, 3 * (P + S)))
+    base, mount = 3 * placement[:, None] + np.arange(3), 3 * (P + sensor[:, None]) + np.arange(3)
+    A[np.arange(n)[:, None], np.arange(3), base] = 1
+    np.put_along_axis(A, np.broadcast_to(mount[:, None], (n, 3, 3)), X[placement] @ F[:, :3, :3], axis=2)
+    b = T[:, :3, 3] - np.einsum("nij,nj->ni", X[placement], F[:, :3, 3])
+    x = np.linalg.lstsq(A.reshape(-1, A.shape[-1]), b.ravel(), rcond=1e-10)[0].reshape(-1, 3)
+    return transform(X, x[:P]), transform(Y, x[P:])
