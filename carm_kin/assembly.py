@@ -38,7 +38,7 @@ def result_of(
         placements=_placements(recording, estimate) if ok else (),
         T_sensor_carm=torus.T_sensor_carm if ok and torus else None,
         orbital_referenced=torus.orbital_referenced if torus else False,
-        sigma=_sigma(estimate.covariance, len(estimate.center)) if ok else r.Sigma(),
+        sigma=sigma_of(estimate.covariance, len(estimate.center)) if ok else r.Sigma(),
         covariance=estimate.covariance if ok else None,
         noise=r.NoiseLevel(assessment.sigma_t, assessment.sigma_r, None in (problem.sigma_t, problem.sigma_r)),
         residuals=_residuals("overall", assessment, slice(None), assessment.chi2_per_dof),
@@ -85,7 +85,8 @@ def _placements(recording: Recording, estimate: Estimate) -> tuple[r.Placement, 
     )
 
 
-def _sigma(covariance: Covariance | None, placements: int) -> r.Sigma:
+def sigma_of(covariance: Covariance | None, placements: int) -> r.Sigma:
+    """One-sigma values under the names of the result."""
     if covariance is None:
         return r.Sigma()
 
@@ -149,11 +150,15 @@ def _notes(estimate: Estimate, ok: bool) -> list[Note]:
             Note("no_covariance", f"'{estimate.solver}' gives no uncertainty here; the solver 'kinematic' does")
         )
     torus = estimate.torus
-    if ok and torus and not torus.referenced.all():
-        notes.append(_convention("angular", "alpha"))
-    if ok and torus and not torus.orbital_referenced:
-        notes.append(_convention("orbital", "beta"))
+    if ok and torus:
+        notes += conventions(bool(torus.referenced.all()), torus.orbital_referenced)
     return notes
+
+
+def conventions(referenced: bool, orbital_referenced: bool) -> list[Note]:
+    """What there is to say of zeros that no label tells."""
+    notes = [] if referenced else [_convention("angular", "alpha")]
+    return notes if orbital_referenced else [*notes, _convention("orbital", "beta")]
 
 
 def _convention(joint: str, angle: str) -> Note:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
+from carm_kin.chain_result import ChainCalibration
 from carm_kin.errors import InputError
 from carm_kin.held_out import CrossValidation
 from carm_kin.result_checks import contradiction
@@ -173,6 +174,8 @@ class CalibrationResult:
     """(N, 2) alpha and beta of every pose; not written to the file."""
     cross_validation: CrossValidation | None = None
     """None where it was not asked for."""
+    chain: ChainCalibration | None = None
+    """None but where a URDF's chain was calibrated."""
 
     @property
     def major_radius_interval_95_m(self) -> tuple[float, float] | None:

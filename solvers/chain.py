@@ -87,9 +87,9 @@ def solve_chain(
     (N, J) there. Raises LinAlgError where the equations are singular."""
     layout = Layout.of(problem, len(start.axes), len(start.T_world_base), len(start.T_last_sensor))
     nominal = _Nominal.of(start, layout, options)
-    used, sigma = np.ones(len(problem), dtype=bool), _first_sigma(problem, start, values)
+    used, sigma = np.ones(len(problem), dtype=bool), first_sigma(problem, start, values)
     at = normal_equations(start, values, problem, layout, sigma, used)
-    choice = identifiable(at.factors, layout.size, _stages(layout, free))
+    choice = identifiable(at.factors, at.length, _stages(layout, free))
     bound = chdtri(np.maximum(6 + problem.read.sum(axis=1) - problem.free.sum(axis=1), 1), OUTLIER_PROBABILITY)
     machine, damping, converged, iteration = start, 0.0, False, 0
     while not converged and iteration < options.max_iterations:
@@ -100,7 +100,7 @@ def solve_chain(
         settled = np.allclose(new_sigma, sigma, rtol=options.sigma_tolerance)
         believed = at.distance2 <= bound if options.reject_outliers and (settled or iteration > SETTLING) else used
         changed = bool((believed != used).any())
-        trial = _moved(machine, layout, step)
+        trial = moved(machine, layout, step)
         trial_values = values + at.value_step(step, values.shape) + _constant_step(problem, layout, step)
         there = normal_equations(trial, trial_values, problem, layout, new_sigma, believed)
         before = at.cost_at(sigma / new_sigma) + nominal.cost(machine)
@@ -186,7 +186,8 @@ def _stages(layout: Layout, free: Free) -> list[np.ndarray]:
     return [stage for stage in stages if stage.size]
 
 
-def _moved(machine: Machine, layout: Layout, step: Array) -> Machine:
+def moved(machine: Machine, layout: Layout, step: Array) -> Machine:
+    """The machine after a step (D,) of the unknowns."""
     P, J, S = layout.bases, layout.joints, layout.sensors
     base = step[: 6 * P].reshape(P, 6)
     placements = step[layout.placement(0)[0] : layout.offset(0)].reshape(J, 6)
@@ -207,7 +208,7 @@ def _constant_step(problem: ChainProblem, layout: Layout, step: Array) -> Array:
     return np.where(problem.constant >= 0, own[np.maximum(problem.constant, 0)] if own.size else 0.0, 0.0)
 
 
-def _first_sigma(problem: ChainProblem, machine: Machine, values: Array) -> Array:
+def first_sigma(problem: ChainProblem, machine: Machine, values: Array) -> Array:
     """Of the poses from the median squares, which outliers leave alone, of the residuals at the start."""
     squares = residuals(machine, values, problem) ** 2
     found = np.sqrt(np.median(squares.reshape(-1, 2, 3).sum(axis=2), axis=0) / MEDIAN_CHI2_3)

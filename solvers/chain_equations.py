@@ -39,6 +39,8 @@ class Reduced:
     """Poses (n,), columns (C,) and responses (n, J, C + 1) of the values to the columns and of their own."""
     factors: tuple[tuple[np.ndarray, Array], ...]
     """Columns (C,) and triangular factor (C, C) of the reduced rows of a group: all it tells of the unknowns."""
+    length: Array
+    """(D,) of the columns before the elimination."""
 
     @property
     def H(self) -> Array:
@@ -78,12 +80,13 @@ def normal_equations(
     have weight 0."""
     D = layout.size
     H, g, squares, counts = (np.zeros((KINDS, *shape)) for shape in ((D, D), (D,), (), (KINDS,)))
-    distance2, steps, factors = np.zeros(len(problem)), [], []
+    distance2, length2, steps, factors = np.zeros(len(problem)), np.zeros(D), [], []
     for group in problem.groups:
         triangle, columns = np.zeros((0, 0)), np.zeros(0, dtype=int)
         for start in range(0, len(group), CHUNK):
             poses = group[start : start + CHUNK]
             columns, B, A, kinds = _rows(machine, values, problem, layout, sigma, poses)
+            length2[columns] += (B[..., :-1] ** 2).sum(axis=(0, 1))
             C = np.swapaxes(A, 1, 2) @ B
             own = problem.free[poses][:, machine.paths[problem.sensor[poses[0]]]]
             inverse = _inverse(A, own)
@@ -105,7 +108,7 @@ def normal_equations(
             spread[:, machine.paths[problem.sensor[poses[0]]]] = X
             steps.append((poses, columns, spread))
         factors.append((columns, triangle))
-    return Reduced(sigma, H, g, squares, counts, distance2, tuple(steps), tuple(factors))
+    return Reduced(sigma, H, g, squares, counts, distance2, tuple(steps), tuple(factors), np.sqrt(length2))
 
 
 def _rows(

@@ -9,7 +9,8 @@ import scipy.linalg
 from solvers.se3 import Array
 
 RANK = 1e-7
-"""Length of a column, relative to its length before, below which the columns chosen before it explain it."""
+"""Length of a column, relative to its length before all elimination, below which the values of joints and the
+columns chosen before it explain it."""
 NAMED = 0.05
 """Share of the largest coefficient below which a column has no part in a combination."""
 
@@ -35,20 +36,21 @@ class Identifiable:
     """What was left out, each with what it cannot be told from."""
 
 
-def identifiable(factors: Sequence[tuple[np.ndarray, Array]], size: int, stages: Sequence[np.ndarray]) -> Identifiable:
+def identifiable(
+    factors: Sequence[tuple[np.ndarray, Array]], length: Array, stages: Sequence[np.ndarray]
+) -> Identifiable:
     """Choose from the ``stages`` of unknowns, earlier ones first, as many as the data determine.
 
-    ``factors`` are the triangular factors of the reduced rows with their columns, as in `Reduced`. Within a stage
-    the pivot is the column that the chosen ones explain least.
+    ``factors`` are the triangular factors of the reduced rows with their columns and ``length`` (D,) is that of the
+    columns before, as in `Reduced`. Within a stage the pivot is the column that the chosen ones explain least.
     """
-    J = np.zeros((sum(len(R) for _, R in factors), size))
+    J = np.zeros((sum(len(R) for _, R in factors), len(length)))
     row = 0
     for columns, R in factors:
         J[row : row + len(R), columns] = R
         row += len(R)
-    length = np.linalg.norm(J, axis=0)
     J = J / np.where(length > 0, length, 1.0)
-    J: Array = np.linalg.qr(J, mode="r")
+    J = np.asarray(np.linalg.qr(J, mode="r"), dtype=float)
     chosen = np.zeros(0, dtype=int)
     left = J
     for stage in stages:
@@ -56,7 +58,7 @@ def identifiable(factors: Sequence[tuple[np.ndarray, Array]], size: int, stages:
         chosen = np.concatenate([chosen, stage[order[: np.count_nonzero(np.abs(np.diagonal(R)) > RANK)]]])
         Q = np.linalg.qr(J[:, chosen])[0]
         left = J - Q @ (Q.T @ J)
-    active = np.zeros(size, dtype=bool)
+    active = np.zeros(len(length), dtype=bool)
     active[chosen] = True
     rest = np.array([i for stage in stages for i in stage if not active[i]], dtype=int)
     found = np.linalg.lstsq(J[:, chosen], J[:, rest], rcond=None)[0].T if rest.size else np.zeros((0, len(chosen)))

@@ -28,13 +28,15 @@ class RobotWorld:
     """(N,) mask of the poses that were believed."""
 
 
-def robot_world(T: Array, F: Array, placement: np.ndarray, sensor: np.ndarray) -> RobotWorld | None:
-    """From T_world_sensor (N, 4, 4) and T_base_last (N, 4, 4); None where they turn about one axis only, or a base or a
-    mount is linked to no other."""
+def robot_world(
+    T: Array, F: Array, placement: np.ndarray, sensor: np.ndarray, placements: int, sensors: int
+) -> RobotWorld | None:
+    """From T_world_sensor (N, 4, 4) and T_base_last (N, 4, 4) of so many base placements and sensors; None where they
+    turn about one axis only, or a base or a mount is linked to no other."""
     agrees = np.ones(len(T), dtype=bool)
     found = None
     for _ in range(ROUNDS):
-        rotations = _rotations(T[agrees], F[agrees], placement[agrees], sensor[agrees])
+        rotations = _rotations(T[agrees], F[agrees], placement[agrees], sensor[agrees], placements, sensors)
         if rotations is None:
             return None
         X, Y = rotations
@@ -49,9 +51,10 @@ def robot_world(T: Array, F: Array, placement: np.ndarray, sensor: np.ndarray) -
     return found
 
 
-def _rotations(T: Array, F: Array, placement: np.ndarray, sensor: np.ndarray) -> tuple[Array, Array] | None:
-    """Of all bases (P, 4, 4) and mounts (S, 4, 4), spread from the pair with the most poses."""
-    P, S = int(placement.max(initial=0)) + 1, int(sensor.max(initial=0)) + 1
+def _rotations(
+    T: Array, F: Array, placement: np.ndarray, sensor: np.ndarray, P: int, S: int
+) -> tuple[Array, Array] | None:
+    """Of all bases (P, 3, 3) and mounts (S, 3, 3), spread from the pair with the most poses."""
     counts = np.zeros((P, S), dtype=int)
     np.add.at(counts, (placement, sensor), 1)
     X, Y = np.zeros((P, 3, 3)), np.zeros((S, 3, 3))
