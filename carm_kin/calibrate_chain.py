@@ -1,7 +1,7 @@
 """Recordings of a machine and its URDF -> the machine calibrated as a chain of joints."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,8 @@ from carm_kin.options import options_of
 from carm_kin.provenance import provenance_of
 from carm_kin.recording import Recording
 from carm_kin.urdf import UrdfFile, listing, read_urdf
-from solvers.chain import Free, Options, solve_chain
+from solvers.chain import ChainEstimate, Free, Options, solve_chain
+from solvers.chain_problem import ChainProblem
 from solvers.chain_start import start_of
 from solvers.estimate import Note
 from solvers.limits import Limits
@@ -48,6 +49,7 @@ def calibrate_chain(
     sigma_r_rad: float | None = None,
     sigma_reading_rad: float | None = None,
     sigma_reading_m: float | None = None,
+    folds: int | None = None,
     limits: Limits = Limits(),
     command: str | None = None,
     **options: Any,
@@ -57,8 +59,9 @@ def calibrate_chain(
     The base in the world of every placement and the mount of every sensor are unknown; ``free`` says which numbers
     of the URDF are. A column ``sensor`` of a recording names the link that carries each pose's sensor, else
     ``sensor_link`` does. Noises (m, rad; of the tracker an axis, of the joint readings) are estimated unless given;
-    0 takes the readings as exact. ``options`` are those of `solvers.chain.Options`. The result's `chain` holds
-    the joints; its other numbers are those of the first sensor's two axes. A refusal is a result, not an exception.
+    0 takes the readings as exact. With ``folds`` the result holds the held-out check. ``options`` are those of
+    `solvers.chain.Options`. The result's `chain` holds the joints; its other numbers are those of the first sensor's
+    two axes. A refusal is a result, not an exception.
 
     Raises InputError for bad names, options and recordings without orientations.
     """
@@ -67,7 +70,6 @@ def calibrate_chain(
         raise InputError("no recording is given")
     file = urdf if isinstance(urdf, UrdfFile) else read_urdf(urdf)
     model = chain_model(file, sensor_links_of(parts, sensor_link), angular, orbital)
-    unknown, fixed = free_of(model, free), free_of(model, NOTHING)
     chosen = options_of(Options, SOLVER, options)
     sigma = (sigma_t_m, sigma_r_rad, sigma_reading_rad, sigma_reading_m)
     _check_noise(sigma)
@@ -76,18 +78,32 @@ def calibrate_chain(
     if len(gathered.problem) < limits.min_poses:
         words = f"{len(gathered.problem)} poses; at least {limits.min_poses} are needed"
         return blank.refused(Note("too_few_poses", words), gathered.notes)
-    start = start_of(gathered.problem, model.machine, [model.axes(s) for s in range(len(model.chains))])
+    found = fit(gathered.problem, model, free_of(model, free), chosen)
+    if isinstance(found, Note):
+        return blank.refused(found, gathered.notes)
+    result = result_of_chain(model, gathered, *found, blank, limits)
+    if folds is None or result.refusal:
+        return result
+    from carm_kin.cross_validate_chain import cross_validate_chain
+
+    held_out = cross_validate_chain(parts, gathered.problem, model, folds, free, chosen)
+    return replace(result, cross_validation=held_out)
+
+
+def fit(
+    problem: ChainProblem, model: ChainModel, free: Free, options: Options
+) -> tuple[ChainEstimate, ChainEstimate] | Note:
+    """The nominal machine with its base and mounts fitted, and the calibrated one; or why there is none."""
+    start = start_of(problem, model.machine, [model.axes(s) for s in range(len(model.chains))])
     if start is None:
         words = "the poses do not turn about two axes, or nothing links the placements and sensors to each other"
-        return blank.refused(Note("unobservable", words), gathered.notes)
+        return Note("unobservable", words)
     try:
-        nominal = solve_chain(gathered.problem, start.machine, start.values, fixed, chosen)
+        nominal = solve_chain(problem, start.machine, start.values, free_of(model, NOTHING), options)
         begin = nominal if nominal.converged else start
-        estimate = solve_chain(gathered.problem, begin.machine, begin.values, unknown, chosen)
+        return nominal, solve_chain(problem, begin.machine, begin.values, free, options)
     except np.linalg.LinAlgError:
-        words = "the poses determine no machine: the equations are singular"
-        return blank.refused(Note("unobservable", words), gathered.notes)
-    return result_of_chain(model, gathered, nominal, estimate, blank, limits)
+        return Note("unobservable", "the poses determine no machine: the equations are singular")
 
 
 def free_of(model: ChainModel, free: FreeJoints) -> Free:

@@ -32,8 +32,14 @@ class Blank:
     options: dict[str, Any]
     provenance: r.Provenance
 
-    def refused(self, note: Note, notes: tuple[Note, ...]) -> r.CalibrationResult:
-        """A result without numbers."""
+    def refused(self, refusal: Note, notes: tuple[Note, ...]) -> r.CalibrationResult:
+        """A result without numbers, before there is an estimate."""
+        return replace(
+            self.bare(notes), refusal=refusal, observability=r.Observability(np.zeros(0), None, (refusal.message,))
+        )
+
+    def bare(self, notes: tuple[Note, ...]) -> r.CalibrationResult:
+        """What is there before any number."""
         poses = sum(len(recording) for recording in self.recordings)
         return r.CalibrationResult(
             status="refused",
@@ -56,9 +62,9 @@ class Blank:
             poses=poses,
             used=poses,
             outliers=r.Outliers(0, ()),
-            observability=r.Observability(np.zeros(0), None, (note.message,)),
+            observability=r.Observability(np.zeros(0), None, ()),
             warnings=(*(w for recording in self.recordings for w in recording.warnings), *notes),
-            refusal=note,
+            refusal=None,
             provenance=self.provenance,
         )
 
@@ -82,7 +88,8 @@ def result_of_chain(
     rejected = r.Outliers(len(offs), tuple(int(i) for i in offs))
     error = _error(estimate.residual, estimate.used)
     done = replace(
-        blank.refused(refusal or Note("", ""), (*gathered.notes, *_notes(model, estimate, limits))),
+        blank.bare((*gathered.notes, *_notes(model, estimate, limits))),
+        refusal=refusal,
         noise=r.NoiseLevel(sigma_t, sigma_r, None in problem.sigma[:2]),
         residuals=r.Residuals("overall", error.translation_rms_m, error.rotation_rms_rad, estimate.chi2_per_dof, used),
         used=used,
@@ -98,7 +105,6 @@ def result_of_chain(
     return replace(
         done,
         status="ok",
-        refusal=None,
         offset_sensor_pivot_m=g.offset,
         major_radius_m=abs(g.major_radius),
         major_radius_signed_m=g.major_radius,

@@ -101,7 +101,7 @@ def joint_changes(model: ChainModel, estimate: ChainEstimate) -> tuple[JointChan
 
 
 def not_identifiable(model: ChainModel, estimate: ChainEstimate, placements: tuple[str, ...]) -> tuple[str, ...]:
-    """What was set free but stays nominal, and what it cannot be told from: a sentence for each joint, base or mount."""
+    """What was set free but stays nominal, and what it cannot be told from: a sentence a joint, base or mount."""
     owners, parts = _owners(model, estimate, placements)
     together: dict[str, tuple[list[str], dict[str, None]]] = {}
     for dependence in estimate.dependent:

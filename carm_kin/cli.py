@@ -16,6 +16,8 @@ import typer
 
 import carm_kin
 from carm_kin.cli_arguments import above_zero, joint_names, options, writable
+from carm_kin.cli_chain import ChainOptions, calibrate_with, chain_options
+from carm_kin.cli_options import grouped
 from carm_kin.errors import CarmKinError, InputError, RefusedError
 from carm_kin.terminal import Stderr, to_stdout, use_any_encoding
 
@@ -153,11 +155,17 @@ def simulate(
 
 
 @app.command(epilog="Example: carm-kin calibrate rec.csv --solver kinematic --json result.json")
+@grouped("chain", chain_options)
 def calibrate(
-    recording: Annotated[Path, typer.Argument(help="The recording.")],
-    solver: Annotated[str | None, typer.Option(help="closed_form, decomposed, direct, kinematic, surface.")] = None,
+    recording: Annotated[list[Path], typer.Argument(help="The recording; with --urdf there may be several.")],
+    chain: ChainOptions,
+    solver: Annotated[
+        str | None, typer.Option(help="chain (with --urdf), closed_form, decomposed, direct, kinematic, surface.")
+    ] = None,
     locus: Annotated[str, typer.Option(help="What the pivot moves on: circle (a C-arm) or point.")] = "circle",
-    urdf: Annotated[str | None, typer.Option(help="Take the joint names from this URDF.")] = None,
+    urdf: Annotated[
+        str | None, typer.Option(help="Calibrate the chain of this URDF; with --solver only take its joint names.")
+    ] = None,
     angular: Angular = None,
     orbital: Orbital = None,
     sensor_link: SensorLink = None,
@@ -177,21 +185,30 @@ def calibrate(
 
     if as_json not in (None, "-"):
         writable(Path(as_json))
-    poses = carm_kin.read_recording(recording)
-    joints = joint_names(poses, urdf, sensor_link, angular, orbital)
+    recordings = [carm_kin.read_recording(path) for path in recording]
     settings: dict[str, Any] = {
-        "locus": locus,
-        "angular": joints[0],
-        "orbital": joints[1],
         "sigma_t_m": above_zero("--sigma-t-mm", sigma_t_mm, 1e-3),
         "sigma_r_rad": above_zero("--sigma-r-deg", sigma_r_deg, radians(1)),
         **options(option or []),
     }
-    result = carm_kin.calibrate(poses, solver, command=command_line(sys.argv[1:]), **settings)
-    if cross_validate is not None and result.refusal is None:
-        from carm_kin.cross_validate import cross_validate as held_out
+    command = command_line(sys.argv[1:])
+    if solver == "chain" or (urdf and solver is None and locus == "circle"):
+        if urdf is None or locus != "circle":
+            raise InputError("the solver 'chain' needs --urdf, and the locus 'circle'")
+        settings |= {"angular": angular, "orbital": orbital, "sensor_link": sensor_link}
+        result = calibrate_with(chain, recordings, urdf, folds=cross_validate, command=command, **settings)
+    else:
+        if chain.given or len(recordings) > 1:
+            what = ", ".join(chain.given) or "several recordings"
+            raise InputError(f"{what}: needs the calibration of a chain, --urdf without another --solver")
+        poses = recordings[0]
+        joints = joint_names(poses, urdf, sensor_link, angular, orbital)
+        settings |= {"locus": locus, "angular": joints[0], "orbital": joints[1]}
+        result = carm_kin.calibrate(poses, solver, command=command, **settings)
+        if cross_validate is not None and result.refusal is None:
+            from carm_kin.cross_validate import cross_validate as held_out
 
-        result = replace(result, cross_validation=held_out(poses, cross_validate, solver, **settings))
+            result = replace(result, cross_validation=held_out(poses, cross_validate, solver, **settings))
     _deliver(result, as_json)
     summary.show(result, Stderr())
     if result.refusal:

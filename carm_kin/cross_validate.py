@@ -6,13 +6,13 @@ gives are fitted to these poses themselves, and so absorb a part of their residu
 """
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from carm_kin.calibrate import calibrate
 from carm_kin.errors import InputError, RefusedError
-from carm_kin.held_out import CrossValidation, HeldOut
+from carm_kin.held_out import CrossValidation, Errors, HeldOut, overall_of, row_of
 from carm_kin.recording import Recording, to_problem
 from carm_kin.result import CalibrationResult
 from solvers.estimate import Note
@@ -23,18 +23,6 @@ from solvers.torus import Torus
 
 LEAST_SPREAD_RAD = float(np.radians(1.0))
 """A joint whose angle spreads by less within the poses of a placement does not move there."""
-
-
-class _Errors(NamedTuple):
-    """Sums over held-out poses."""
-
-    poses: int
-    position: float
-    """Squared position errors, m^2."""
-    rotation: float
-    """Squared orientation errors, rad^2."""
-    chi2: float
-    dof: float
 
 
 def cross_validate(
@@ -63,7 +51,7 @@ def cross_validate(
     sound = ~np.isin(recording.pose_number, whole.outliers.indices)
     problem = to_problem(recording, angular, orbital)
     rows: list[HeldOut] = []
-    sums: list[_Errors] = []
+    sums: list[Errors] = []
     for fold in range(folds):
         held = number == fold
         label, scored = f"fold {fold + 1}", held & sound
@@ -72,8 +60,8 @@ def cross_validate(
         refusal = _refusal(recording, problem, fit, ~held & sound) or _nothing_left(scored)
         if refusal is None:
             sums.append(_predicted(recording, problem, fit, scored))
-        rows.append(_row(label, sweeps, scored.sum(), None if refusal else sums[-1], refusal))
-    return CrossValidation(folds, _overall(rows, sums), tuple(rows))
+        rows.append(row_of(label, sweeps, scored.sum(), None if refusal else sums[-1], refusal))
+    return CrossValidation(folds, overall_of(rows, sums), tuple(rows))
 
 
 def fold_of_poses(recording: Recording, folds: int) -> np.ndarray:
@@ -149,7 +137,7 @@ def _spread(angle: np.ndarray) -> float:
     return float(np.sqrt(max(0.0, -2 * np.log(max(abs(np.exp(1j * angle).mean()), 1e-300)))))
 
 
-def _predicted(recording: Recording, problem: Problem, fit: CalibrationResult, scored: np.ndarray) -> _Errors:
+def _predicted(recording: Recording, problem: Problem, fit: CalibrationResult, scored: np.ndarray) -> Errors:
     """Errors of the ``scored`` (N,) poses, their unknown angles fitted to them with the noise of the fit."""
     torus = torus_of(fit, recording.placements)
     label = problem.label.copy()
@@ -161,35 +149,10 @@ def _predicted(recording: Recording, problem: Problem, fit: CalibrationResult, s
     part = known.select(scored)
     angles, at = fit_angles(part, torus)
     residual = linearise(torus, angles, part).residual
-    return _Errors(
+    return Errors(
         len(part),
         float((residual[:3] ** 2).sum()),
         float((residual[3:] ** 2).sum()),
         at.cost - at.reading_cost,
         float(sum(at.redundancy)),
-    )
-
-
-def _overall(rows: list[HeldOut], sums: list[_Errors]) -> HeldOut:
-    sweeps = tuple(label for row in rows if row.refusal is None for label in row.sweeps)
-    if not sums:
-        refusal = rows[0].refusal
-        code, reason = (refusal.code, refusal.message) if refusal else ("refused", "")
-        return _row("overall", sweeps, 0, None, Note(code, f"every fold is refused, the first since {reason}"))
-    total = _Errors(sum(s.poses for s in sums), *(sum(s[i] for s in sums) for i in range(1, 5)))
-    return _row("overall", sweeps, total.poses, total, None)
-
-
-def _row(label: str, sweeps: tuple[str, ...], poses: int, errors: _Errors | None, refusal: Note | None) -> HeldOut:
-    if errors is None:
-        return HeldOut(label, sweeps, int(poses), None, None, None, None, refusal)
-    return HeldOut(
-        label,
-        sweeps,
-        int(poses),
-        float(np.sqrt(errors.position / errors.poses)),
-        float(np.sqrt(errors.rotation / errors.poses)),
-        errors.chi2 / errors.dof,
-        errors.dof,
-        None,
     )

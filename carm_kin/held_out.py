@@ -1,6 +1,9 @@
 """How well a fit predicts poses that it was not given."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
 
 from solvers.estimate import Note
 
@@ -38,3 +41,42 @@ class CrossValidation:
     overall: HeldOut
     """Over the poses of all folds that were not refused; refused where all were."""
     per_fold: tuple[HeldOut, ...]
+
+
+class Errors(NamedTuple):
+    """Sums over held-out poses."""
+
+    poses: int
+    position: float
+    """Squared position errors, m^2."""
+    rotation: float
+    """Squared orientation errors, rad^2."""
+    chi2: float
+    dof: float
+
+
+def overall_of(rows: list[HeldOut], sums: list[Errors]) -> HeldOut:
+    """The errors of all folds that were not refused."""
+    sweeps = tuple(label for row in rows if row.refusal is None for label in row.sweeps)
+    if not sums:
+        refusal = rows[0].refusal
+        code, reason = (refusal.code, refusal.message) if refusal else ("refused", "")
+        return row_of("overall", sweeps, 0, None, Note(code, f"every fold is refused, the first since {reason}"))
+    total = Errors(sum(s.poses for s in sums), *(sum(s[i] for s in sums) for i in range(1, 5)))
+    return row_of("overall", sweeps, total.poses, total, None)
+
+
+def row_of(label: str, sweeps: tuple[str, ...], poses: int, errors: Errors | None, refusal: Note | None) -> HeldOut:
+    """A fold's errors, or why there are none."""
+    if errors is None:
+        return HeldOut(label, sweeps, int(poses), None, None, None, None, refusal)
+    return HeldOut(
+        label,
+        sweeps,
+        int(poses),
+        float(np.sqrt(errors.position / errors.poses)),
+        float(np.sqrt(errors.rotation / errors.poses)),
+        errors.chi2 / errors.dof,
+        errors.dof,
+        None,
+    )

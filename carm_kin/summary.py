@@ -3,6 +3,7 @@
 import numpy as np
 from rich.console import Console
 
+from carm_kin.chain_result import ChainCalibration
 from carm_kin.check_result import Angle, Check, Length
 from carm_kin.held_out import HeldOut
 from carm_kin.result import CalibrationResult
@@ -19,6 +20,8 @@ def show(result: CalibrationResult, console: Console) -> None:
     console.print(verdict)
     show_numbers(result, console)
     for line in _quality(result):
+        console.print(f"  {line}", soft_wrap=True)
+    for line in _chain(result.chain) if result.chain else ():
         console.print(f"  {line}", soft_wrap=True)
     if result.cross_validation:
         for row in (result.cross_validation.overall, *result.cross_validation.per_fold):
@@ -107,6 +110,23 @@ def _quality(result: CalibrationResult) -> list[str]:
     level = _both(noise.translation_m, noise.rotation_rad)
     kind = "estimated" if noise.estimated else "given"
     return [f"{'residuals, rms':<{_NAME_WIDTH}}{rms}", f"{f'noise an axis, {kind}':<{_NAME_WIDTH}}{level}"]
+
+
+def _chain(chain: ChainCalibration) -> list[str]:
+    """What the URDF's numbers leave, and how they changed."""
+    nominal = _both(chain.nominal.translation_rms_m, chain.nominal.rotation_rms_rad)
+    lines = [f"{'residuals of the nominal URDF':<{_NAME_WIDTH}}{nominal}"]
+    for joint in chain.joints:
+        rows = [*zip("xyz", joint.shift_m * 1e3, joint.shift_sigma_m * 1e3, ["mm"] * 3, strict=True)]
+        turns, sigmas = np.degrees(joint.turn_rad), np.degrees(joint.turn_sigma_rad)
+        rows += zip(("rx", "ry", "rz"), turns, sigmas, ["deg"] * 3, strict=True)
+        if joint.zero_rad is not None and joint.zero_sigma_rad is not None:
+            rows.append(("zero", np.degrees(joint.zero_rad), np.degrees(joint.zero_sigma_rad), "deg"))
+        if joint.zero_m is not None and joint.zero_sigma_m is not None:
+            rows.append(("zero", joint.zero_m * 1e3, joint.zero_sigma_m * 1e3, "mm"))
+        rows.append(("gain", joint.gain * 1e2, joint.gain_sigma * 1e2, "%"))
+        lines += [_line(f"change of {joint.joint}, {n}", v, s, unit) for n, v, s, unit in rows if n in joint.estimated]
+    return lines
 
 
 def _both(length: float | None, angle: float | None) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
 
 import lxml.etree as etree
 import numpy as np
@@ -22,6 +23,7 @@ __all__ = [
     "JOINT_TYPES",
     "Joint",
     "UrdfFile",
+    "add_fixed_link",
     "bundled_urdfs",
     "find_urdf",
     "kinematic_text",
@@ -122,6 +124,34 @@ def patch_origins(urdf: UrdfFile, origins: Mapping[str, ArrayLike]) -> UrdfFile:
     return parse_urdf(data, urdf.path)
 
 
+def add_fixed_link(urdf: UrdfFile, parent: str, name: str, T_parent_link: ArrayLike) -> UrdfFile:
+    """The same file with one more link at its end, fixed to ``parent`` by the joint ``NAME_mount``.
+
+    ``T_parent_link`` is (4, 4), m. Every other byte stays. Raises InputError for an unknown parent, a name that is
+    taken, or a matrix that is no rigid motion.
+    """
+    if parent not in urdf.links:
+        raise InputError(f"no link is named {parent!r}; valid: {listing(urdf.links)}", file=urdf.path)
+    numbers = _origin_attributes(urdf.path, f"{name}_mount", np.asarray(T_parent_link, dtype=float))
+    end = urdf.data.rindex(b"</")
+    newline = b"\r\n" if b"\r\n" in urdf.data[:end] else b"\n"
+    start = urdf.data.rindex(b"\n", 0, end) + 1 if b"\n" in urdf.data[:end] else end
+    before = urdf.data[:end] if urdf.data[start:end].strip() else urdf.data[:start]
+    indented = re.findall(rb"\n([ \t]*)<(?:link|joint)\b", urdf.data)
+    indent = indented[-1] if indented else b"  "
+    step = indent or b"  "
+    origin = b" ".join(key + b'="' + value + b'"' for key, value in numbers.items())
+    lines = [
+        indent + f"<link name={quoteattr(name)}/>".encode(),
+        indent + f'<joint name={quoteattr(name + "_mount")} type="fixed">'.encode(),
+        indent + step + f"<parent link={quoteattr(parent)}/>".encode(),
+        indent + step + f"<child link={quoteattr(name)}/>".encode(),
+        indent + step + b"<origin " + origin + b"/>",
+        indent + b"</joint>",
+    ]
+    return parse_urdf(before + newline.join(lines) + newline + urdf.data[len(before) :].lstrip(b" \t"), urdf.path)
+
+
 def _parse(data: bytes, path: Path) -> Any:
     if not data.strip():
         raise InputError("the file is empty", file=path, line=1)
@@ -152,7 +182,7 @@ def _end_of_prolog(data: bytes) -> int:
 
 
 def _words(values: ArrayLike) -> str:
-    return " ".join(f"{value:.17g}" for value in np.asarray(values) + 0.0)
+    return " ".join(repr(float(value)) for value in np.asarray(values) + 0.0)
 
 
 def _origin_attributes(path: Path, name: str, T: Array) -> dict[bytes, bytes]:

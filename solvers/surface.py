@@ -144,7 +144,7 @@ def _refine(problem: Problem, torus: Torus, options: Options) -> _Fit:
         A = inner / np.outer(scale, scale) + damping * np.eye(len(inner))
         step[active] = -np.linalg.solve(A, at.g[active] / scale) / scale
         trial = retract(torus, step)
-        trial_angles = angles + at.angle_step(step)
+        trial_angles = nearest_angles(trial, problem)
         there = normal_equations(trial, trial_angles, problem, model, (1.0,))
         gain = at.cost - there.cost
         if gain >= 0:

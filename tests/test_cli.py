@@ -66,7 +66,7 @@ def test_help_lists_every_command(capsys):
         (): "a command is missing",
         ("bogus",): "No such command 'bogus'",
         ("calibrate",): "Missing argument 'recording' (see carm-kin calibrate --help)",
-        ("calibrate", "a.csv", "b.csv"): "b.csv",
+        ("check", "a.json", "b.csv", "c.csv"): "c.csv",
         ("calibrate", "a.csv", "--bogus"): "No such option: --bogus",
         ("calibrate", "a.csv", "--sigma-t-mm", "abc"): "--sigma-t-mm",
         ("calibrate", "a.csv", "--json"): "--json",
@@ -154,6 +154,8 @@ def test_a_urdf_of_another_machine_is_named(rec, tmp_path, capsys):
     text = bundled_urdfs()["mobile_skewed"].read_text()
     other.write_text(text.replace('name="angular"', 'name="tilt"').replace('name="orbital"', 'name="slide"'))
     message = fails(capsys, "calibrate", rec, "--urdf", other)
+    assert "names the joint 'angular', which the chain does not have" in message
+    message = fails(capsys, "calibrate", rec, "--urdf", other, "--solver", "kinematic")
     assert message.startswith("--urdf: its axes are 'tilt' and 'slide'; the recording has angular, orbital")
 
 
