@@ -43,14 +43,16 @@ class Chain:
     T_last_sensor: Array
     """(4, 4): the sensor link in the frame of the last joint."""
     angular: int
-    """Index of the angular joint (alpha)."""
+    """Index of the joint of alpha: of the two axes the one nearer the base, whatever it is called."""
     orbital: int
-    """Index of the orbital joint (beta)."""
+    """Index of the joint of beta, the other one."""
     origins_before: Array
     """(J + 1, 4, 4): the part of each placement, and of T_last_sensor, that stands before the one
     ``<origin>`` named in ``origin_joints``."""
     origin_joints: tuple[str | None, ...]
     """(J + 1): the URDF joint whose ``<origin>`` carries each placement and T_last_sensor, if there is one."""
+    notes: tuple[str, ...] = ()
+    """What was chosen with a remark: the orbital joint as the first axis."""
 
     def index(self, name: str) -> int:
         """The index of a joint. Raises `InputError` with the valid names."""
@@ -118,7 +120,7 @@ class NominalGeometry:
     """
 
     axes: tuple[str, str]
-    """The joint of alpha and the joint of beta: angular and orbital, unless the URDF has them the other way."""
+    """The joint of alpha and the joint of beta."""
     T_base_torus: Array
     """(4, 4): origin the torus centre, x the first axis, z towards the pivot at alpha = 0 where R > 0."""
     major_radius: float
@@ -147,10 +149,9 @@ class NominalGeometry:
 def nominal_geometry(chain: Chain, q: ArrayLike | None = None) -> NominalGeometry:
     """The two-axis geometry with the other joints at zero, or at ``q`` (J,) whose alpha and beta are ignored.
 
-    Where the orbital joint stands nearer the base than the angular one, it is taken as the first axis.
     Raises `InputError` for parallel axes and for a ``q`` of the wrong length.
     """
-    first, second = sorted((chain.angular, chain.orbital))
+    first, second = chain.angular, chain.orbital
     q = chain.configurations(np.zeros(len(chain.names)) if q is None else q)
     q[[first, second]] = 0
     frames = chain.joint_frames(q)
@@ -179,8 +180,9 @@ def chain_of(
     """The chain from the base to the sensor link.
 
     ``sensor_link`` defaults to the link named ``sensor``, else to the only leaf. The two axes default to the
-    joints named ``angular`` and ``orbital``, else to the last rotary joints before the sensor. Raises
-    `InputError` where a name is wrong or there is no single choice, with the valid names.
+    joints named ``angular`` and ``orbital``, else to the last rotary joints before the sensor. The one nearer
+    the base is the first axis (alpha), with a note where that is the orbital one. Raises `InputError` where a
+    name is wrong or there is no single choice, with the valid names.
     """
     sensor_link = sensor_link or _default_sensor_link(urdf)
     joints = urdf.joints_to(sensor_link)
@@ -188,7 +190,8 @@ def chain_of(
     if len(moving) > MAX_JOINTS:
         problem = f"{len(moving)} moving joints lie between base and {sensor_link!r}; at most {MAX_JOINTS} are accepted"
         raise InputError(problem, file=urdf.path)
-    axis_indices = _axis_indices(urdf, moving, sensor_link, angular, orbital)
+    chosen = _axis_indices(urdf, moving, sensor_link, angular, orbital)
+    first, second = sorted(chosen)
     before, at, carriers = _folded(joints, {joint.name for joint in urdf.joints})
     return Chain(
         urdf.base,
@@ -200,10 +203,18 @@ def chain_of(
         lower=np.array([joint.lower for joint in moving]),
         upper=np.array([joint.upper for joint in moving]),
         T_last_sensor=(before @ at)[-1],
-        angular=axis_indices[0],
-        orbital=axis_indices[1],
+        angular=first,
+        orbital=second,
         origins_before=before,
         origin_joints=carriers,
+        notes=() if chosen == (first, second) else (_exchanged(moving[first].name, moving[second].name),),
+    )
+
+
+def _exchanged(first: str, second: str) -> str:
+    return (
+        f"the orbital joint {first!r} stands nearer the base than the angular one {second!r}: it is the first axis "
+        f"(alpha), which a calibration calls angular; calibrate with --angular {first} --orbital {second}"
     )
 
 

@@ -22,7 +22,7 @@ class Inspection:
     chain: Chain
     geometry: NominalGeometry
     notes: tuple[str, ...]
-    """What the reader of the URDF accepted with a remark."""
+    """What the reader of the URDF accepted, and what the chain chose, with a remark."""
 
     def to_dict(self) -> dict[str, Any]:
         """The same as JSON values, units in the names."""
@@ -57,7 +57,7 @@ def inspect(urdf: str | Path, sensor_link: str | None, angular: str | None, orbi
     """
     file = read_urdf(urdf)
     chain = chain_of(file, sensor_link, angular, orbital)
-    return Inspection(Path(file.path).name, chain, nominal_geometry(chain), file.notes)
+    return Inspection(Path(file.path).name, chain, nominal_geometry(chain), (*file.notes, *chain.notes))
 
 
 def show(found: Inspection, console: Console) -> None:
@@ -74,7 +74,7 @@ def show(found: Inspection, console: Console) -> None:
         box=box.SIMPLE,
         pad_edge=False,
     )
-    roles = {data["angular"]: "angular axis (alpha)", data["orbital"]: "orbital axis (beta)"}
+    roles = {data["angular"]: "first axis (alpha)", data["orbital"]: "second axis (beta)"}
     for joint in data["joints"]:
         unit = "mm" if "lower_mm" in joint else "deg"
         low, high = ("" if x is None else f"{x:.1f}" for x in (joint[f"lower_{unit}"], joint[f"upper_{unit}"]))

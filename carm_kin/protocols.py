@@ -26,6 +26,8 @@ MAX_DEG = 3600.0
 """A sweep that starts or ends beyond ten turns is taken for a mistake."""
 MAX_BYTES = 10_000_000
 """A larger file is no protocol."""
+WIDEST = {"revolute": 2 * np.pi, "continuous": 2 * np.pi, "prismatic": 0.5}
+"""Range, rad or m, of which a named protocol makes use where the limits of a joint are wider."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +40,8 @@ class Motion:
     """Its label; "" where several joints move."""
     moving: str
     """The joint that moves; "" where several do."""
+    told: Mapping[str, Array]
+    """Joint name -> (M,) values that the recording has, rad or m: labels of held joints, readings of others."""
 
 
 @dataclass(frozen=True)
@@ -87,25 +91,24 @@ def _minimal(chain: Chain, rng: np.random.Generator) -> list[Motion]:
 
 def _clinical(chain: Chain, rng: np.random.Generator) -> list[Motion]:
     """Five orbital and three angular sweeps within the joint limits, a pose every degree."""
-    low, high = _range_deg(chain, chain.angular)
+    low, high = np.degrees(_range(chain, chain.angular))
     if low < 90 and high > -90:
         low, high = max(low, -90.0), min(high, 90.0)
-    start, stop = _range_deg(chain, chain.orbital)
+    start, stop = np.degrees(_range(chain, chain.orbital))
     return _grid(
         chain, np.linspace(low, high, 5), _degrees(start, stop), np.linspace(start, stop, 5)[1:4], _degrees(low, high)
     )
 
 
 def _free(chain: Chain, rng: np.random.Generator) -> list[Motion]:
-    """Both joints on smooth random paths within their limits; no sweeps."""
-    time = np.linspace(0, 2 * np.pi, FREE_POSES)
-    q = np.zeros((FREE_POSES, len(chain.names)))
-    for joint in (chain.angular, chain.orbital):
-        low, high = np.radians(_range_deg(chain, joint))
-        waves = [np.sin(k * time + rng.uniform(0, 2 * np.pi)) * rng.normal() / k for k in (1, 2, 3, 5, 8)]
-        wave = np.sum(waves, axis=0)
-        q[:, joint] = low + (high - low) * (wave - wave.min()) / np.ptp(wave)
-    return [Motion(q, "", "")]
+    """Both axes on smooth random paths within their limits; no sweeps, and no angle is told."""
+    return [Motion(_wandering(chain, (chain.angular, chain.orbital), rng), "", "", {})]
+
+
+def _joints(chain: Chain, rng: np.random.Generator) -> list[Motion]:
+    """Every joint of the chain on a smooth random path within its limits, with all readings."""
+    q = _wandering(chain, range(len(chain.names)), rng)
+    return [Motion(q, "", "", dict(zip(chain.names, q.T, strict=True)))]
 
 
 NAMED: dict[str, Callable[[Chain, np.random.Generator], list[Motion]]] = {
@@ -113,13 +116,29 @@ NAMED: dict[str, Callable[[Chain, np.random.Generator], list[Motion]]] = {
     "clinical": _clinical,
     "minimal": _minimal,
     "free": _free,
+    "joints": _joints,
 }
 
 
-def _range_deg(chain: Chain, joint: int) -> tuple[float, float]:
-    """The joint's limits, at most one turn."""
-    low, high = np.clip(np.degrees([chain.lower[joint], chain.upper[joint]]), -180, 180)
-    return float(low), float(high)
+def _range(chain: Chain, joint: int) -> Array:
+    """The joint's limits (2,), rad or m; where they are wider than `WIDEST`, the part nearest to zero."""
+    low, high = chain.lower[joint], chain.upper[joint]
+    half = WIDEST[chain.types[joint]] / 2
+    if high - low <= 2 * half:
+        return np.array([low, high])
+    return np.clip(0.0, low + half, high - half) + np.array([-half, half])
+
+
+def _wandering(chain: Chain, joints: Iterable[int], rng: np.random.Generator) -> Array:
+    """Joint values (FREE_POSES, J): some joints on smooth random paths through all their range, others at zero."""
+    time = np.linspace(0, 2 * np.pi, FREE_POSES)
+    q = np.zeros((FREE_POSES, len(chain.names)))
+    for joint in joints:
+        low, high = _range(chain, joint)
+        waves = [np.sin(k * time + rng.uniform(0, 2 * np.pi)) * rng.normal() / k for k in (1, 2, 3, 5, 8)]
+        wave = np.sum(waves, axis=0)
+        q[:, joint] = low + (high - low) * (wave - wave.min()) / np.ptp(wave)
+    return q
 
 
 def _degrees(low: float, high: float) -> Array:
@@ -132,14 +151,14 @@ def _grid(
 ) -> list[Motion]:
     """An orbital sweep at each alpha, then an angular sweep at each beta."""
     angular, orbital = chain.names[chain.angular], chain.names[chain.orbital]
-    parts = [(f"orbital {a:+.1f} deg", orbital, orbital_deg, angular, a) for a in alphas_deg]
-    parts += [(f"angular {b:+.1f} deg", angular, angular_deg, orbital, b) for b in betas_deg]
+    parts = [(f"{orbital} {a:+.1f} deg", orbital, orbital_deg, angular, a) for a in alphas_deg]
+    parts += [(f"{angular} {b:+.1f} deg", angular, angular_deg, orbital, b) for b in betas_deg]
     found = []
     for label, moving, path, held, value in parts:
         q = np.zeros((len(path), len(chain.names)))
         q[:, chain.index(moving)] = np.radians(path)
         q[:, chain.index(held)] = np.radians(value)
-        found.append(Motion(q, label, moving))
+        found.append(Motion(q, label, moving, {held: q[:, chain.index(held)]}))
     return found
 
 
@@ -156,7 +175,9 @@ def _from_file(chain: Chain, path: Path) -> list[Motion]:
     except InputError as error:
         raise InputError(str(error), file=path) from None
     width = len(str(len(plans)))
-    return [_swept(chain, f"{k:0{width}d}", plan) for k, plan in enumerate(plans, 1)]
+    axes = {chain.names[chain.angular], chain.names[chain.orbital]}
+    named = axes.union(*(plan.held_deg for plan in plans), *(plan.held_mm for plan in plans))
+    return [_swept(chain, f"{k:0{width}d}", plan, named) for k, plan in enumerate(plans, 1)]
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -195,7 +216,8 @@ def _plan(chain: Chain, table: Any, place: str) -> SweepPlan:
     return plan
 
 
-def _swept(chain: Chain, label: str, plan: SweepPlan) -> Motion:
+def _swept(chain: Chain, label: str, plan: SweepPlan, named: set[str]) -> Motion:
+    """The motion of one sweep; the recording has the positions of all ``named`` joints that it holds."""
     q = np.zeros((plan.poses, len(chain.names)))
     for name, value in plan.held_deg.items():
         q[:, chain.index(name)] = np.radians(value)
@@ -203,7 +225,8 @@ def _swept(chain: Chain, label: str, plan: SweepPlan) -> Motion:
         q[:, chain.index(name)] = value / 1000
     sense = np.sign(plan.to_deg - plan.from_deg)
     q[:, chain.index(plan.moving)] = np.radians(plan.from_deg + sense * plan.step_deg * np.arange(plan.poses))
-    return Motion(q, label, plan.moving)
+    told = {name: q[:, j] for j, name in enumerate(chain.names) if name in named - {plan.moving}}
+    return Motion(q, label, plan.moving, told)
 
 
 def _beyond_limits(chain: Chain, plan: list[Motion]) -> tuple[Note, ...]:

@@ -220,16 +220,17 @@ def test_axes_by_name_by_option_and_by_default(odd, tmp_path):
     skew = machine(tmp_path, *SKEW)
     assert axes(skew) == ("angular", "orbital")
     assert axes(skew, orbital="wrist") == ("angular", "wrist")
-    assert axes(skew, angular="wrist") == ("wrist", "orbital")
-    assert axes(skew, angular="orbital", orbital="angular") == ("orbital", "angular")
+    assert axes(skew, angular="wrist") == ("orbital", "wrist")
+    assert axes(skew, angular="orbital", orbital="angular") == ("angular", "orbital")
     unnamed = machine(tmp_path, *[(f"j{i}", *rest) for i, (_, *rest) in enumerate(SKEW)])
     assert axes(unnamed) == ("j3", "j4")
-    assert axes(unnamed, angular="j4") == ("j4", "j3")
-    assert axes(unnamed, orbital="j3") == ("j4", "j3")
+    assert axes(unnamed, angular="j1", orbital="j3") == ("j1", "j3")
+    assert axes(unnamed, angular="j4") == ("j3", "j4")
+    assert axes(unnamed, orbital="j3") == ("j3", "j4")
     half = machine(tmp_path, *[(name.replace("orbital", "beta"), *rest) for name, *rest in SKEW])
     assert axes(half) == ("angular", "wrist")
     swapped = machine(tmp_path, ("beta", *SKEW[3][1:]), SKEW[1])
-    assert axes(swapped) == ("angular", "beta")
+    assert axes(swapped) == ("beta", "angular")
     with pytest.raises(
         InputError, match=r"orbital joint 'lift' is no revolute joint .*; valid: angular, orbital, wrist"
     ):
@@ -238,6 +239,15 @@ def test_axes_by_name_by_option_and_by_default(odd, tmp_path):
         chain_of(skew, angular="alpha")
     with pytest.raises(InputError, match="both 'wrist'"):
         chain_of(skew, angular="wrist", orbital="wrist")
+
+
+def test_an_orbital_joint_nearer_the_base_is_the_first_axis_and_said_to_be(tmp_path):
+    swapped = machine(tmp_path, SKEW[3], SKEW[1])
+    (note,) = chain_of(swapped).notes
+    assert note.startswith("the orbital joint 'orbital' stands nearer the base than the angular one 'angular'")
+    assert note.endswith("--angular orbital --orbital angular")
+    assert chain_of(swapped, angular="orbital", orbital="angular").notes == ()
+    assert chain_of(machine(tmp_path, *SKEW)).notes == ()
 
 
 def test_the_sensor_link_is_found_or_asked_for(odd, tmp_path):

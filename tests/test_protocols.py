@@ -71,8 +71,33 @@ def test_free_is_smooth_random_and_within_the_limits(chain):
     assert np.abs(path - other).max() > 10
 
 
+def test_joints_moves_every_joint_through_its_range_and_tells_all(chain):
+    (motion,), notes = motions(chain, "joints", np.random.default_rng(0))
+    assert notes == ()
+    assert (motion.sweep, motion.moving, motion.q.shape) == ("", "", (FREE_POSES, len(chain.names)))
+    low, high = motion.q.min(axis=0), motion.q.max(axis=0)
+    turns = [chain.index(name) for name in ("cart_yaw", "wig_wag", "angular", "orbital")]
+    slides = [chain.index(name) for name in ("cart_x", "cart_y", "lift", "horizontal")]
+    assert np.degrees(low[turns]) == pytest.approx([-180, -12, -180, -40])
+    assert np.degrees(high[turns]) == pytest.approx([180, 12, 180, 110])
+    assert low[slides] == pytest.approx([-0.25, -0.25, 0, -0.1])
+    assert high[slides] == pytest.approx([0.25, 0.25, 0.45, 0.1])
+    assert np.abs(np.diff(motion.q, axis=0) / np.ptp(motion.q, axis=0)).max() < 0.03
+    assert np.abs(np.corrcoef(motion.q.T) - np.eye(8)).max() < 0.9
+    assert list(motion.told) == list(chain.names)
+    np.testing.assert_array_equal(np.stack(list(motion.told.values()), axis=1), motion.q)
+
+
+def test_joints_stays_within_limits_far_from_zero():
+    text = read_urdf("mobile_nonisocentric").data.replace(b'lower="0" upper="0.45"', b'lower="0.7" upper="1.9"')
+    chain = chain_of(parse_urdf(text, bundled_urdfs()["mobile_nonisocentric"]))
+    (motion,), _ = motions(chain, "joints", np.random.default_rng(0))
+    lift = motion.q[:, chain.index("lift")]
+    assert (lift.min(), lift.max()) == pytest.approx((0.7, 1.2))
+
+
 @pytest.mark.parametrize("limits", [(0.2, 0.5), (0.0, 0.0), (100.0, 200.0), (-3.0, -2.9)])
-@pytest.mark.parametrize("protocol", ["paper", "minimal", "clinical", "free"])
+@pytest.mark.parametrize("protocol", ["paper", "minimal", "clinical", "free", "joints"])
 def test_odd_limits_give_poses_all_the_same(limits, protocol):
     text = read_urdf("mobile_nonisocentric").data.decode()
     low, high = np.radians(limits)
@@ -104,6 +129,9 @@ def test_a_file(chain, tmp_path):
     np.testing.assert_allclose(q[1][:, chain.index("wig_wag")], -3)
     np.testing.assert_allclose(plan[1].q[:, chain.index("lift")], 0.1205)
     assert [(motion.sweep, motion.moving) for motion in plan] == [("1", "orbital"), ("2", "angular")]
+    told = [{name: set(values) for name, values in motion.told.items()} for motion in plan]
+    assert told[0] == {"lift": {0}, "wig_wag": {0}, "angular": {0}}
+    assert told[1] == {"lift": {0.1205}, "wig_wag": {np.radians(-3)}, "orbital": {np.radians(20)}}
     assert notes == (), notes
 
 

@@ -9,7 +9,9 @@ import carm_kin
 from carm_kin.chain import chain_of, nominal_geometry
 from carm_kin.errors import InputError
 from carm_kin.model import Model
-from carm_kin.simulate import OUTLIER_M, simulate
+from carm_kin.noise import OUTLIER_M
+from carm_kin.simulate import simulate
+from carm_kin.truth import chain_ends
 from carm_kin.urdf import bundled_urdfs, parse_urdf, read_urdf
 from solvers.se3 import exp_so3, inverse, log_so3, transform
 
@@ -139,6 +141,60 @@ def test_labels_may_be_dropped():
     assert all(np.isnan(kept.joints["orbital"][sweep.poses]).all() for sweep in kept.sweeps[:5])
 
 
+def test_joints_gives_all_readings_and_a_truth_with_the_others_at_zero():
+    urdf = read_urdf("mobile_skewed")
+    chain = chain_of(urdf)
+    mount = transform(exp_so3(np.array([0.5, -0.2, 0.1])), np.array([0.01, 0.02, -0.03]))
+    recording, truth = simulate(urdf, "joints", T_sensor_mount=mount, seed=3)
+    assert tuple(recording.joints) == chain.names
+    assert recording.prismatic == {"cart_x", "cart_y", "lift", "horizontal"}
+    assert (recording.placements, recording.sweeps) == (("",), [])
+    assert [note.code for note in truth.warnings] == ["truth_at_zero"]
+    assert len(truth.placements) == 1
+    T_world_base, T_link_sensor = chain_ends(truth, chain)
+    np.testing.assert_allclose(T_link_sensor, mount, atol=1e-12)
+    q = np.stack(list(recording.joints.values()), axis=1)
+    T = T_world_base @ chain.forward_kinematics(q) @ mount
+    np.testing.assert_allclose(recording.p_world_sensor, T[:, :3, 3], atol=1e-12)
+    np.testing.assert_allclose(recording.R_world_sensor, T[:, :3, :3], atol=1e-12)
+    torus = nominal_geometry(chain).T_base_torus
+    np.testing.assert_allclose(truth.placements[0].T_world_torus, T_world_base @ torus, atol=1e-12)
+
+
+def test_readings_have_the_noise_that_was_asked_for(tmp_path):
+    exact, _ = simulate("mobile_skewed", "joints", seed=3)
+    read, truth = simulate("mobile_skewed", "joints", sigma_reading_rad=1e-3, sigma_reading_m=2e-4, seed=3)
+    np.testing.assert_array_equal(read.p_world_sensor, exact.p_world_sensor)
+    assert (truth.options["sigma_reading_rad"], truth.options["sigma_reading_m"]) == (1e-3, 2e-4)
+    errors = np.stack([read.joints[name] - exact.joints[name] for name in exact.joints])
+    sigma = np.array([2e-4 if name in exact.prismatic else 1e-3 for name in exact.joints])
+    n = errors.shape[1]
+    assert np.abs(errors.mean(axis=1) / sigma).max() < 4.5 / np.sqrt(n)
+    assert np.abs(errors.std(axis=1) / sigma - 1).max() < 4.5 / np.sqrt(2 * n)
+    assert np.abs(np.corrcoef(errors) - np.eye(len(sigma))).max() < 4.5 / np.sqrt(n)
+    carm_kin.write_recording(read, tmp_path / "rec.csv")
+    back = carm_kin.read_recording(tmp_path / "rec.csv")
+    assert back.prismatic == read.prismatic
+    for name, values in read.joints.items():
+        np.testing.assert_allclose(back.joints[name], values, atol=1e-12)
+
+
+def test_a_joint_that_is_held_has_one_error():
+    exact, _ = simulate("mobile_skewed", seed=3)
+    read, _ = simulate("mobile_skewed", sigma_reading_rad=1e-3, seed=3)
+    held = [(sweep.held, other.held) for sweep, other in zip(read.sweeps, exact.sweeps, strict=True)]
+    errors = [value - truth[name] for found, truth in held for name, value in found.items()]
+    assert len(set(errors)) == len(errors) == 8
+    assert 0 < np.abs(errors).max() < 5e-3
+
+
+def test_the_ends_of_the_chain_need_a_truth():
+    recording, truth = simulate("mobile_skewed", "minimal", seed=1)
+    with pytest.raises(InputError, match="no complete chain"):
+        chain_ends(carm_kin.calibrate(recording, "surface"), chain_of(read_urdf("mobile_skewed")))
+    assert chain_ends(truth, chain_of(read_urdf("mobile_skewed")))[1] == pytest.approx(np.eye(4), abs=1e-12)
+
+
 def test_lift_positions_are_placements(tmp_path):
     file = tmp_path / "lifted.toml"
     text = "".join(
@@ -150,6 +206,9 @@ def test_lift_positions_are_placements(tmp_path):
     assert [len(sweep.poses) for sweep in recording.sweeps] == [61] * 4
     assert [sweep.placement for sweep in recording.sweeps] == ["1", "1", "2", "2"]
     assert [placement.label for placement in truth.placements] == ["1", "2"]
+    assert [sweep.held["lift"] for sweep in recording.sweeps] == [0, 0, 0.2, 0.2]
+    assert recording.prismatic == {"lift"}
+    assert recording.warnings == ()
     rise = truth.placements[1].torus_center_world_m - truth.placements[0].torus_center_world_m
     assert np.linalg.norm(rise) == pytest.approx(0.2)
     result = carm_kin.calibrate(recording)
@@ -188,6 +247,9 @@ def test_remarks_on_the_urdf_reach_the_truth():
         {"sigma_t_m": 1000.0},
         {"sigma_r_rad": -1.0},
         {"sigma_r_rad": 10.0},
+        {"sigma_reading_rad": -1e-3},
+        {"sigma_reading_rad": float("nan")},
+        {"sigma_reading_m": float("inf")},
         {"outliers": 1.0},
         {"outliers": -0.1},
         {"outliers": float("nan")},

@@ -1,0 +1,68 @@
+"""What disturbs a simulated recording: noise of the poses and of the joints' readings, outliers, missing frames."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from carm_kin.errors import InputError
+from solvers.se3 import Array, exp_so3, rotation_from_quat_wxyz
+
+OUTLIER_M = (0.05, 0.5)
+"""A gross outlier lies off by a distance between these and has a random orientation."""
+MAX_SIGMA_M = 10.0
+"""Larger noise is taken for a wrong unit."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What disturbs the poses."""
+
+    sigma_t_m: float = 0.0
+    """Position noise, one standard deviation an axis."""
+    sigma_r_rad: float = 0.0
+    """Orientation noise: a rotation vector in the sensor frame, one standard deviation an axis."""
+    outliers: float = 0.0
+    """Share of poses that are replaced by gross outliers."""
+    missing: float = 0.0
+    """Share of frames in which the sensor is not seen."""
+    sigma_reading_rad: float = 0.0
+    """Error of the angles that the recording has: one draw a joint and value, so that a joint which is held
+    has one error as long as it stands there."""
+    sigma_reading_m: float = 0.0
+    """The same for the positions of prismatic joints."""
+
+
+def checked(noise: Noise) -> Noise:
+    """The same. Raises InputError that names the number which cannot be."""
+    for name, share in (("outliers", noise.outliers), ("missing", noise.missing)):
+        if not 0 <= share < 1:
+            raise InputError(f"{name} must be a share of the poses, from 0 to below 1, not {share}")
+    for name, most in (
+        ("sigma_t_m", MAX_SIGMA_M),
+        ("sigma_r_rad", np.pi),
+        ("sigma_reading_rad", np.pi),
+        ("sigma_reading_m", MAX_SIGMA_M),
+    ):
+        if not 0 <= (sigma := getattr(noise, name)) <= most:
+            raise InputError(f"{name} must be from 0 to {most:.3g}, not {sigma}")
+    return noise
+
+
+def disturbed(T: Array, noise: Noise, rng: np.random.Generator) -> tuple[Array, Array, np.ndarray]:
+    """p (N, 3), R (N, 3, 3) of the poses T (N, 4, 4) with noise, and the mask (N,) of those that were replaced."""
+    n = len(T)
+    p = T[:, :3, 3] + noise.sigma_t_m * rng.normal(size=(n, 3))
+    R = T[:, :3, :3] @ exp_so3(noise.sigma_r_rad * rng.normal(size=(n, 3)))
+    replaced = np.zeros(n, dtype=bool)
+    replaced[rng.permutation(n)[: round(noise.outliers * n)]] = True
+    k = int(replaced.sum())
+    direction = rng.normal(size=(k, 3))
+    p[replaced] += direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(*OUTLIER_M, size=(k, 1))
+    R[replaced] = rotation_from_quat_wxyz(rng.normal(size=(k, 4)))
+    return p, R, replaced
+
+
+def readings(values: Array, sigma: float, rng: np.random.Generator) -> Array:
+    """Readings (N,) of a joint, whose error is the same wherever its value is the same."""
+    distinct, number = np.unique(values, return_inverse=True)
+    return (distinct + sigma * rng.normal(size=len(distinct)))[number.ravel()]
