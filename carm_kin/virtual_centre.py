@@ -48,8 +48,8 @@ def virtual_centre(
     """The virtual centre of one orbital scan, alpha held, of a calibrated C-arm.
 
     A centre counts as fixed if the noise explains its spread, or if what the noise leaves is within ``tolerance_m``.
-    ``placement`` names the calibrated place of the base, where there are several; the base may have travelled since,
-    and only where it has not turned are alpha, beta and the travel given. ``sigma_t_m`` and ``sigma_r_rad`` are the
+    ``placement`` names the calibrated place of the base, by default that of the scan's own label. The base may have
+    travelled since; only where it has not turned are alpha, beta and the travel given. ``sigma_t_m`` and ``sigma_r_rad`` are the
     noise of the scan's poses; by default that of the calibration.
 
     Raises InputError for a result without a complete chain, an unknown placement, a scan without orientations or with
@@ -57,10 +57,12 @@ def virtual_centre(
     """
     if not 0 < tolerance_m < np.inf:
         raise InputError(f"tolerance_m must be a finite number above 0, not {tolerance_m}")
-    torus, sigma = chain_at(result, placement), noise_of(result, sigma_t_m, sigma_r_rad)
     T = scan.T_world_sensor
     if len(scan.placements) > 1:
         raise InputError(f"a scan is made at one placement of the base, not at {', '.join(scan.placements)}")
+    own = [label for label in scan.placements if label in {known.label for known in result.placements}]
+    torus = chain_at(result, own[0] if placement is None and own else placement)
+    sigma = noise_of(result, sigma_t_m, sigma_r_rad)
     again = repeated(scan.p_world_sensor, scan.R_world_sensor)
     off = _axis_off(T[~again], torus)
     astray = np.zeros(len(scan), dtype=bool)

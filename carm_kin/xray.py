@@ -138,7 +138,7 @@ class Xray:
 
     def _check_frame(self, torus: Torus) -> None:
         """Raise InputError unless labels make the calibration's C-arm frame that of the URDF."""
-        label = "give its angle, as the URDF counts it, in 'q_{}_deg' of at least two sweeps that hold it"
+        label = "give its angle, as the URDF counts it, in 'q_{}_deg' of sweeps that hold it at two angles or more"
         if not torus.orbital_referenced:
             wanted = label.format("orbital")
             raise InputError(f"the calibration does not tell where the orbital joint stands at zero: {wanted}")
