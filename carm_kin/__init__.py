@@ -12,19 +12,26 @@ from carm_kin.errors import CarmKinError, InputError, MissingDependencyError
 from carm_kin.formats import read_recording, write_recording
 from carm_kin.recording import Recording
 from carm_kin.result import CalibrationResult
+from carm_kin.rotation_centre import RotationCentre
 from carm_kin.simulate import simulate
+from carm_kin.virtual_centre import virtual_centre
+from carm_kin.xray import Detector, Xray
 
 __version__ = "0.1.0"
 __all__ = [
     "CalibrationResult",
     "CarmKinError",
+    "Detector",
     "InputError",
     "MissingDependencyError",
     "Recording",
+    "RotationCentre",
+    "Xray",
     "calibrate",
     "check",
     "cross_validate",
     "read_recording",
     "simulate",
+    "virtual_centre",
     "write_recording",
 ]

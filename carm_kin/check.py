@@ -53,14 +53,12 @@ def check(
     or the axis' change exceed the tolerance, it could not show what it is asked for and is refused. Labels are
     used where there are any, and taken as exact. ``sigma_t_m`` and ``sigma_r_rad`` give the tracker's noise.
 
-    Raises InputError for a result without a complete chain, a tolerance that is not above 0, and a recording
-    that cannot be calibrated.
+    Raises InputError for a result that is refused or without a complete chain, a tolerance that is not above 0,
+    and a recording that cannot be calibrated.
     """
     for name, value in (("tolerance_m", tolerance_m), ("tolerance_rad", tolerance_rad)):
         if not 0 < value < np.inf:
             raise InputError(f"{name} must be a finite number above 0, not {value}")
-    if result.refusal:
-        raise InputError(f"the saved calibration is refused ({result.refusal.code}): there is nothing to check")
     saved = torus_of(result, tuple(placement.label for placement in result.placements))
     new = calibrate(
         recording,
@@ -123,7 +121,7 @@ def _compared(
         pose_position=Length(*_against(mm, *_excess(fixed, free, 0))),
         pose_rotation=Angle(*_against(deg, *_excess(fixed, free, 1))),
         unseen=() if _same_zero(saved, torus) else (UNSEEN_SLIP,),
-        warnings=blank.warnings if result.covariance else (*blank.warnings, _no_covariance(result)),
+        warnings=(*blank.warnings, *taken_as_exact(result)),
     )
 
 
@@ -136,9 +134,12 @@ def _same_zero(saved: Torus, torus: Torus) -> bool:
     return saved.orbital_referenced and torus.orbital_referenced
 
 
-def _no_covariance(result: r.CalibrationResult) -> Note:
+def taken_as_exact(result: r.CalibrationResult) -> tuple[Note, ...]:
+    """A warning where the saved calibration has no uncertainty."""
+    if result.covariance:
+        return ()
     message = f"the saved calibration by '{result.solver}' gives no uncertainty: it is taken as exact"
-    return Note("no_saved_covariance", message)
+    return (Note("no_saved_covariance", message),)
 
 
 def _worst(covariances: list[Covariance], name: str) -> float:

@@ -261,6 +261,41 @@ def check(
     Stderr().print("passed: the saved calibration holds", style="bold green")
 
 
+@app.command(epilog="Example: carm-kin centre result.json scan.csv --json centre.json")
+def centre(
+    result: Annotated[Path, typer.Argument(help="The calibration, as calibrate --json writes it.")],
+    scan: Annotated[Path, typer.Argument(help="A recording of one orbital scan, other axes travelling.")],
+    placement: Annotated[str | None, typer.Option(help="The calibrated placement of the base, if several.")] = None,
+    tolerance_mm: Annotated[float, typer.Option(help="Motion of the centre beyond the noise that is accepted.")] = 1.0,
+    sigma_t_mm: Annotated[float | None, typer.Option(help="Position noise, if not as calibrated.")] = None,
+    sigma_r_deg: Annotated[float | None, typer.Option(help="Orientation noise, if not as calibrated.")] = None,
+    as_json: AsJson = None,
+) -> None:
+    """Find the virtual centre of a non-isocentric scan: status 0 fixed, 3 not fixed or refused."""
+    from carm_kin import summary
+    from carm_kin.provenance import command_line
+
+    if as_json not in (None, "-"):
+        writable(Path(as_json))
+    found = carm_kin.virtual_centre(
+        carm_kin.CalibrationResult.from_json(result),
+        carm_kin.read_recording(scan),
+        placement=placement,
+        tolerance_m=tolerance_mm / 1e3,
+        sigma_t_m=above_zero("--sigma-t-mm", sigma_t_mm, 1e-3),
+        sigma_r_rad=above_zero("--sigma-r-deg", sigma_r_deg, radians(1)),
+        command=command_line(sys.argv[1:]),
+    )
+    _deliver(found, as_json)
+    summary.show_centre(found, Stderr())
+    if found.refusal:
+        raise RefusedError(found.refusal.code, found.refusal.message)
+    if found.status == "not_fixed" and found.spread:
+        moves = f"{found.spread.beyond_noise_m * 1e3:.2f} mm (rms) beyond the noise"
+        raise typer.Exit(_ended(3, "not fixed", f"no point stands still: the one that moves least moves by {moves}"))
+    Stderr().print("fixed: one point of the C-arm stands still", style="bold green")
+
+
 def _deliver(result: Any, as_json: str | None) -> None:
     """Write the JSON of a result where it was asked for."""
     if as_json == "-":

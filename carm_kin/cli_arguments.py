@@ -25,7 +25,7 @@ def above_zero(option: str, value: float | None, unit: float) -> float | None:
     if value is None:
         return None
     if not 0 < value < inf:
-        raise InputError(f"{option} must be a finite number above 0, not {value}; leave it out to estimate it")
+        raise InputError(f"{option} must be a finite number above 0, not {value}; leave it out if it is not known")
     return value * unit
 
 

@@ -92,8 +92,10 @@ def fold_of_poses(recording: Recording, folds: int) -> np.ndarray:
 def torus_of(result: CalibrationResult, placements: tuple[str, ...]) -> Torus:
     """The chain in a result, its ``placements`` in this order.
 
-    Raises InputError where the result has no complete chain, or lacks a placement.
+    Raises InputError where the result is refused, has no complete chain, or lacks a placement.
     """
+    if result.refusal:
+        raise InputError(f"the calibration is refused ({result.refusal.code}): it holds no C-arm")
     if result.T_sensor_carm is None or result.major_radius_signed_m is None:
         raise InputError(f"a result of the solver '{result.solver}' holds no complete chain; use 'kinematic'")
     found = {placement.label: placement for placement in result.placements}

@@ -24,7 +24,7 @@ from carm_kin.recording_checks import (
 )
 from solvers.estimate import Note
 from solvers.problem import ANGULAR, ORBITAL, Problem
-from solvers.se3 import Array
+from solvers.se3 import Array, transform
 
 __all__ = [
     "LABEL_TOLERANCE_M",
@@ -134,6 +134,14 @@ class Recording:
         for name in ("joints", "metadata"):
             chosen[name] = {key: values[index] for key, values in getattr(self, name).items()}
         return replace(self, missing=0, **chosen)
+
+    @property
+    def T_world_sensor(self) -> Array:
+        """(N, 4, 4) the poses, m. Raises InputError where only positions were recorded."""
+        if self.R_world_sensor is None:
+            file = self.source.path if self.source else None
+            raise InputError("the recording has no orientations (qw, qx, qy, qz)", file=file)
+        return transform(self.R_world_sensor, self.p_world_sensor)
 
     @property
     def placements(self) -> tuple[str, ...]:

@@ -39,10 +39,7 @@ class PoseError(InputError):
 
 def numeric(name: str, values: object, shape: tuple[int, ...], unknown: bool = False) -> Array:
     """Float array of the given shape; finite, or NaN where `unknown` allows it."""
-    try:
-        array = np.asarray(values, dtype=float)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{name} is not an array of numbers: {error}") from None
+    array = floats(name, values)
     if array.shape != shape:
         raise InputError(f"{name} has the shape {array.shape}; {shape} is needed")
     bad = np.isinf(array) if unknown else ~np.isfinite(array)
@@ -50,6 +47,14 @@ def numeric(name: str, values: object, shape: tuple[int, ...], unknown: bool = F
         pose = int(np.argwhere(bad)[0, 0])
         raise PoseError("the value is empty or not finite", pose, name)
     return array
+
+
+def floats(name: str, values: object) -> Array:
+    """Float array of any shape."""
+    try:
+        return np.asarray(values, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} is not an array of numbers: {error}") from None
 
 
 def rotations(values: object, n: int) -> Array:
@@ -66,6 +71,17 @@ def rotations(values: object, n: int) -> Array:
         problem = "a reflection, not a rotation: the frames must be right-handed"
         raise PoseError(problem, int(np.argmax(bad)), "R_world_sensor")
     return R
+
+
+def transforms(name: str, values: object) -> Array:
+    """(N, 4, 4) array of rigid motions; a single one counts as N = 1."""
+    T = floats(name, values)
+    T = T[None] if T.shape == (4, 4) else T
+    T = numeric(name, T, (len(T) if T.ndim else 1, 4, 4))
+    rotations(T[:, :3, :3], len(T))
+    if np.any(bad := (T[:, 3] != (0, 0, 0, 1)).any(axis=1)):
+        raise PoseError("the last row of a transform must be 0 0 0 1", int(np.argmax(bad)), name)
+    return T
 
 
 def text(name: str, values: Iterable[object], n: int) -> np.ndarray:

@@ -7,6 +7,7 @@ from carm_kin.chain_result import ChainCalibration
 from carm_kin.check_result import Angle, Check, Length
 from carm_kin.held_out import HeldOut
 from carm_kin.result import CalibrationResult
+from carm_kin.virtual_centre_result import VirtualCentre
 from solvers.estimate import Note
 from solvers.se3 import Array
 
@@ -47,6 +48,29 @@ def show_check(check: Check, console: Console) -> None:
     for words in check.unseen:
         console.print(f"  not seen: {words}", soft_wrap=True)
     _show_warnings(check.warnings, console)
+
+
+def show_centre(found: VirtualCentre, console: Console) -> None:
+    """Print where the virtual centre is and how far it moved; the verdict is the caller's."""
+    turn = "" if found.turn_rad is None else f" over {np.degrees(found.turn_rad):.1f} deg"
+    console.print(f"{found.used} of {found.poses} poses{turn}")
+    sigma, spread = found.sigma, found.spread
+    lines = [
+        *_vector("virtual centre in the C-arm", found.centre_carm_m, sigma and sigma.centre_carm_m),
+        *_vector("in the sensor", found.centre_sensor_m, sigma and sigma.centre_sensor_m),
+        *_vector("in the world", found.centre_world_m, sigma and sigma.centre_world_m),
+        *_length("circle of the rotation centre", found.path_radius_m, sigma and sigma.path_radius_m),
+        *_length("distance from that circle, rms", found.path_rms_m, None),
+    ]
+    if found.alpha_rad is not None:
+        lines.append(_line("angle about the angular axis", float(np.degrees(found.alpha_rad)), None, "deg"))
+    if spread:
+        lines += _length("spread of the centre, rms", spread.rms_m, None)
+        lines += _length("of it by noise", spread.noise_m, None)
+        lines += [f"{line} (pose {spread.largest_pose})" for line in _length("largest", spread.largest_m, None)]
+    for line in lines:
+        console.print(f"  {line}", soft_wrap=True)
+    _show_warnings(found.warnings, console)
 
 
 def _show_warnings(warnings: tuple[Note, ...], console: Console) -> None:
