@@ -90,8 +90,8 @@ def _rms(vectors: np.ndarray) -> float:
 
 
 NOTES = """Noise 0.25 mm and 0.1 deg an axis; the protocol `joints` (all joints move within their ranges and are
-read exactly); every origin on the chain moved by 3 mm and 0.5 deg; all of them free, base and mount unknown. Held out is
-the last quarter of the poses. `nominal` is the error of the perturbed URDF with base and mount fitted; the ratios are
+read exactly); every origin on the chain moved by 3 mm and 0.5 deg; all of them free, base and mount unknown. Held out
+is the last quarter of the poses. `nominal` is the error of the perturbed URDF with base and mount fitted; the ratios are
 those of the calibrated chain's error an axis to the noise, 1 at best and 1.2 aimed at; the worst of the seeds."""
 
 
