@@ -200,22 +200,14 @@ def _errors(torus: Torus, truth: Torus) -> tuple[float, float, float]:
     )
 
 
-@dataclass(frozen=True)
-class Job:
-    """One recording of an experiment, to be solved anywhere."""
-
-    condition: Condition
-    seed: int
-
-
-def jobs(names: Iterable[str], seeds: int) -> list[Job]:
-    """Of the named experiments, ``all`` for every one, each condition ``seeds`` times. Raises InputError."""
+def work(names: Iterable[str], seeds: int) -> list[tuple[Condition, int]]:
+    """Of the named experiments, ``all`` for every one, each condition with so many seeds. Raises InputError."""
     wanted = [experiment for name in names for experiment in (EXPERIMENTS if name == "all" else (name,))]
-    return [Job(condition, seed) for name in wanted for condition in conditions(name) for seed in range(seeds)]
+    return [(condition, seed) for name in wanted for condition in conditions(name) for seed in range(seeds)]
 
 
-def run_job(job: Job) -> tuple[Outcome, ...] | Ransac:
-    """What a job gives."""
-    if job.condition.experiment.startswith("table1"):
-        return ransac(job.condition, job.seed)
-    return outcomes(job.condition, job.seed)
+def run_one(condition: Condition, seed: int) -> tuple[Outcome, ...] | Ransac:
+    """What a condition gives with one seed."""
+    if condition.experiment.startswith("table1"):
+        return ransac(condition, seed)
+    return outcomes(condition, seed)

@@ -9,7 +9,7 @@ from carm_kin import experiments, published
 from carm_kin.errors import InputError
 from carm_kin.experiment_figures import draw
 from carm_kin.experiment_page import page, points, write_outcomes
-from carm_kin.experiments import EXPERIMENTS, Condition, Outcome, Ransac, jobs, outcomes, ransac, run_job
+from carm_kin.experiments import EXPERIMENTS, Condition, Outcome, Ransac, outcomes, ransac, run_one, work
 from carm_kin.scenes import random_torus
 from solvers.problem import Problem
 
@@ -103,15 +103,15 @@ def test_the_page_has_tables_and_figures_of_what_was_run(tmp_path):
     assert len((tmp_path / "outcomes.csv").read_text().splitlines()) == 1 + len(found)
 
 
-def test_jobs_are_conditions_times_seeds():
-    assert len(jobs(["noise", "density"], 3)) == 3 * (22 + len(EXPERIMENTS["density"]))
-    assert len(jobs(["all"], 1)) == sum(len(c) for c in EXPERIMENTS.values())
+def test_the_work_is_conditions_times_seeds():
+    assert len(work(["noise", "density"], 3)) == 3 * (22 + len(EXPERIMENTS["density"]))
+    assert len(work(["all"], 1)) == sum(len(c) for c in EXPERIMENTS.values())
     with pytest.raises(InputError, match="'nose' is unknown; it is one of noise, trajectories, density, table1"):
-        jobs(["nose"], 1)
+        work(["nose"], 1)
 
 
-def test_a_job_knows_what_it_is():
-    job = jobs(["table1"], 1)[0]
-    assert isinstance(run_job(job), Ransac)
-    (first, *_) = run_job(replace(job, condition=SMALL))
-    assert isinstance(first, Outcome)
+def test_a_condition_knows_what_it_is():
+    assert isinstance(run_one(*work(["table1"], 1)[0]), Ransac)
+    found = run_one(SMALL, 0)
+    assert isinstance(found, tuple)
+    assert all(isinstance(one, Outcome) for one in found)
