@@ -179,10 +179,10 @@ def chain_of(
 ) -> Chain:
     """The chain from the base to the sensor link.
 
-    ``sensor_link`` defaults to the link named ``sensor``, else to the only leaf. The two axes default to the
-    joints named ``angular`` and ``orbital``, else to the last rotary joints before the sensor. The one nearer
-    the base is the first axis (alpha), with a note where that is the orbital one. Raises `InputError` where a
-    name is wrong or there is no single choice, with the valid names.
+    ``sensor_link`` defaults to the link named ``sensor``, else to the only one in `UrdfFile.sensors`. The two
+    axes default to the joints named ``angular`` and ``orbital``, else to the last rotary joints before the
+    sensor. The one nearer the base is the first axis (alpha), with a note where that is the orbital one. Raises
+    `InputError` where a name is wrong or there is no single choice, with the valid names.
     """
     sensor_link = sensor_link or _default_sensor_link(urdf)
     joints = urdf.joints_to(sensor_link)
@@ -221,9 +221,9 @@ def _exchanged(first: str, second: str) -> str:
 def _default_sensor_link(urdf: UrdfFile) -> str:
     if "sensor" in urdf.links:
         return "sensor"
-    if len(urdf.leaves) == 1:
-        return urdf.leaves[0]
-    problem = f"which link carries the sensor? Name it (sensor_link); the leaf links are {listing(urdf.leaves)}"
+    if len(urdf.sensors) == 1:
+        return urdf.sensors[0]
+    problem = f"which link carries the sensor? Name it (sensor_link): {listing(urdf.sensors)}"
     raise InputError(problem, file=urdf.path)
 
 

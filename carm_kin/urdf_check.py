@@ -90,6 +90,11 @@ class UrdfFile:
         parents = {joint.parent for joint in self.joints}
         return tuple(link for link in self.links if link not in parents)
 
+    @cached_property
+    def sensors(self) -> tuple[str, ...]:
+        """The links that may carry a sensor: those named ``sensor`` or ``sensor_...``, else the leaves."""
+        return tuple(link for link in self.links if link == "sensor" or link.startswith("sensor_")) or self.leaves
+
     def joints_to(self, link: str) -> tuple[Joint, ...]:
         """The joints from the base to ``link``, of one number each or fixed (`Joint.elementary`).
 

@@ -1,6 +1,6 @@
-"""Draw the bundled C-arms from the side, from their URDFs' own numbers: python scripts/draw_carms.py OUT.svg
+"""Draw the bundled C-arms from their URDFs' own numbers: python scripts/draw_carms.py OUT.svg
 
-All joints stand at zero and the view is along +y. Grey shapes are the URDF's visuals; marks are computed.
+All joints stand at zero. Grey shapes are the URDF's visuals; marks are computed. Each machine has a scale of its own.
 """
 
 import sys
@@ -11,18 +11,21 @@ import lxml.etree as etree
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from carm_kin.chain import chain_of, nominal_geometry
+from carm_kin.chain import NominalGeometry, chain_of, nominal_geometry
 from carm_kin.urdf import UrdfFile, bundled_urdfs, read_urdf
 from solvers.se3 import Array, rot_x, rot_y, rot_z, transform
 
-SCALE = 225.0
-"""Pixels per metre."""
-PANEL = 580, 470
-VIEW = -0.5, -0.06
-"""x and z (m) at the lower left corner of a panel."""
-FILLS = {"c_arm": "#9fb8d4", "source": "#e8c37e", "detector": "#a9cfa0", "sensor": "#2e8b57", "post": "#2e8b57"}
+COLUMNS = 3
+PANEL = 460, 430
+MARGIN = 40, 60, 75, 45
+"""Left, top, right and bottom of a panel, pixels, for marks and words."""
+FILLS = {"source": "#e8c37e", "detector": "#a9cfa0", "sensor": "#2e8b57"}
+C_FILL = "#9fb8d4"
 RED, BLUE, GREEN, GREY = "#c0392b", "#1f4e9c", "#2e8b57", "#555555"
-X, Z = np.array([1.0, 0, 0]), np.array([0, 0, 1.0])
+FROM_RIGHT = np.array([[1.0, 0, 0], [0, 0, 1]])
+"""Rows: what points right and up in the drawing, seen along y."""
+FROM_PATIENT = np.array([[0, 1.0, 0], [0, 0, 1]])
+"""The same seen against x."""
 
 
 def link_poses(urdf: UrdfFile) -> dict[str, Array]:
@@ -36,8 +39,8 @@ def link_poses(urdf: UrdfFile) -> dict[str, Array]:
     return poses
 
 
-def outline(visual: etree._Element, T_base_link: Array) -> Array:
-    """Corners (n, 2) of a box's or cylinder's shadow on the x-z plane, m."""
+def corners(visual: etree._Element, T_base_link: Array) -> Array:
+    """Points (n, 3) whose hull is the box or cylinder, m."""
     origin = visual.find("origin")
     attributes = {} if origin is None else origin.attrib
     xyz, rpy = (np.array(attributes.get(key, "0 0 0").split(), dtype=float) for key in ("xyz", "rpy"))
@@ -49,110 +52,146 @@ def outline(visual: etree._Element, T_base_link: Array) -> Array:
         radius, length = float(cylinder.get("radius")), float(cylinder.get("length"))
         phi = np.linspace(0, 2 * np.pi, 25)
         points = np.array([[radius * np.cos(a), radius * np.sin(a), s * length / 2] for a in phi for s in (-1, 1)])
-    shadow = (points @ T[:3, :3].T + T[:3, 3])[:, [0, 2]]
-    return shadow[ConvexHull(shadow).vertices]
+    return points @ T[:3, :3].T + T[:3, 3]
 
 
 class Panel:
-    """One machine's cell of the drawing; positions are x, z in m."""
+    """A cell of the drawing; positions are (3,) in m, placed by `fit`, or pixels from its upper left corner."""
 
-    def __init__(self, svg: etree._Element, column: int, row: int):
+    def __init__(self, svg: etree._Element, number: int):
+        column, row = number % COLUMNS, number // COLUMNS
         self.group = etree.SubElement(svg, "g", transform=f"translate({column * PANEL[0]} {row * PANEL[1]})")
+        self.view, self.scale, self.shift = FROM_RIGHT, 1.0, np.zeros(2)
 
-    def at(self, point: Array) -> tuple[float, float]:
-        return (point[0] - VIEW[0]) * SCALE, PANEL[1] - (point[-1] - VIEW[1]) * SCALE
+    def fit(self, points: Array, view: Array) -> None:
+        """Choose the scale and the place with which all points (n, 3) are seen."""
+        flat = points @ view.T
+        low, high = flat.min(axis=0), flat.max(axis=0)
+        left, top, right, bottom = MARGIN
+        room = np.array([PANEL[0] - left - right, PANEL[1] - top - bottom])
+        self.view, self.scale = view, float((room / (high - low)).min())
+        spare = room - self.scale * (high - low)
+        self.shift = np.array([left + spare[0] / 2 - self.scale * low[0], PANEL[1] - bottom + self.scale * low[1]])
+
+    def at(self, point: Array) -> Array:
+        """Pixels of a position (3,), m; a pair is pixels already."""
+        if len(point) == 2:
+            return point
+        return self.shift + self.scale * (self.view @ point) * (1, -1)
+
+    def add(self, tag: str, **attributes: object) -> etree._Element:
+        words = {key.replace("_", "-"): f"{v:.1f}" if isinstance(v, float) else str(v) for key, v in attributes.items()}
+        return etree.SubElement(self.group, tag, words)
 
     def polygon(self, points: Array, fill: str) -> None:
-        text = " ".join(f"{x:.1f},{y:.1f}" for x, y in map(self.at, points))
-        etree.SubElement(self.group, "polygon", points=text, fill=fill, stroke=GREY, **{"stroke-width": "0.6"})
+        flat = np.array([self.at(point) for point in points])
+        text = " ".join(f"{x:.1f},{y:.1f}" for x, y in flat[ConvexHull(flat).vertices])
+        self.add("polygon", points=text, fill=fill, stroke=GREY, stroke_width="0.6")
 
-    def line(self, a: Array, b: Array, colour: str, dashes: str = "none", width: float = 1.3) -> None:
+    def line(self, a: Array, b: Array, colour: str, dashes: str = "none", width: str = "1.3") -> None:
         (x1, y1), (x2, y2) = self.at(a), self.at(b)
-        ends = {"x1": f"{x1:.1f}", "y1": f"{y1:.1f}", "x2": f"{x2:.1f}", "y2": f"{y2:.1f}"}
-        style = {"stroke": colour, "stroke-width": f"{width}", "stroke-dasharray": dashes}
-        etree.SubElement(self.group, "line", ends | style)
+        ends = {"x1": float(x1), "y1": float(y1), "x2": float(x2), "y2": float(y2)}
+        self.add("line", **ends, stroke=colour, stroke_width=width, stroke_dasharray=dashes)
 
     def text(self, point: Array, words: str, colour: str = "black", size: int = 14, anchor: str = "start") -> None:
         x, y = self.at(point)
-        style = {"fill": colour, "font-size": str(size), "text-anchor": anchor}
-        etree.SubElement(self.group, "text", {"x": f"{x:.1f}", "y": f"{y:.1f}"} | style).text = words
+        self.add("text", x=float(x), y=float(y), fill=colour, font_size=size, text_anchor=anchor).text = words
 
-    def pivot(self, point: Array) -> None:
-        """A dot in a ring: the rotation centre, the orbital axis normal to the page."""
-        x, y = self.at(point)
-        place = {"cx": f"{x:.1f}", "cy": f"{y:.1f}"}
-        etree.SubElement(
-            self.group, "circle", place | {"r": "6.5", "fill": "none", "stroke": BLUE, "stroke-width": "1.6"}
-        )
-        etree.SubElement(self.group, "circle", place | {"r": "2.2", "fill": BLUE})
+    def axis(self, point: Array, direction: Array, colour: str) -> None:
+        """An axis through a point: a line, or a dot in a ring where it is normal to the page."""
+        flat = self.view @ direction
+        if np.linalg.norm(flat) > 0.1:
+            half = 95 / self.scale / np.linalg.norm(flat) * direction
+            self.line(point - half, point + half, colour, "12 3 2 3")
+            return
+        x, y = map(float, self.at(point))
+        self.add("circle", cx=x, cy=y, r="6.5", fill="none", stroke=colour, stroke_width="1.6")
+        self.add("circle", cx=x, cy=y, r="2.2", fill=colour)
 
     def cross(self, point: Array) -> None:
         """The torus centre."""
-        for arm in (0.02 * (X + Z), 0.02 * (X - Z)):
-            self.line(point - arm, point + arm, RED, width=2)
-
-    def dimension(self, a: Array, b: Array, x: float, words: str, colour: str) -> None:
-        """A vertical dimension line at ``x`` between the heights of two points."""
-        low, high = np.array([x, 0, a[2]]), np.array([x, 0, b[2]])
-        for point, end in ((a, low), (b, high)):
-            self.line(point, end + 0.02 * X, colour, "2 3", 0.8)
-        self.line(low, high, colour)
-        self.text((low + high) / 2 + 0.025 * X - 0.02 * Z, words, colour)
+        middle = self.at(point)
+        for arm in (np.array([4.5, 4.5]), np.array([4.5, -4.5])):
+            self.line(middle - arm, middle + arm, RED, width="2")
 
 
-def draw_machine(panel: Panel, urdf: UrdfFile) -> None:
-    geometry, poses = nominal_geometry(chain_of(urdf)), link_poses(urdf)
-    for link in etree.fromstring(urdf.data).iterchildren("link"):
-        for visual in link.iterchildren("visual"):
-            panel.polygon(outline(visual, poses[link.get("name")]), FILLS.get(link.get("name"), "#dddddd"))
-    center = geometry.T_base_torus[:3, 3]
-    pivot = center + geometry.major_radius * geometry.T_base_torus[:3, 2]
-    source, detector, sensor = (poses[name][:3, 3] for name in ("source", "detector", "sensor"))
-    panel.line(source, detector, GREY, "1 3", 1)
-    panel.line(center - X, center + 0.24 * X, RED, "12 3 2 3")
-    panel.line(sensor, pivot, GREEN, "5 3")
+def draw_machine(panel: Panel, urdf: UrdfFile, sensor_link: str) -> None:
+    """The whole machine, and the marks of the branch that bears this sensor."""
+    geometry, poses = nominal_geometry(chain_of(urdf, sensor_link)), link_poses(urdf)
+    suffix = sensor_link.removeprefix("sensor")
+    places = {name: poses[name + suffix][:3, 3] for name in ("source", "detector", "sensor")}
+    beam = places["detector"] - places["source"]
+    view = FROM_PATIENT if abs(beam[1]) > abs(beam[2]) else FROM_RIGHT
+    solids = [
+        (link.get("name"), corners(visual, poses[link.get("name")]))
+        for link in etree.fromstring(urdf.data).iterchildren("link")
+        for visual in link.iterchildren("visual")
+    ]
+    panel.fit(np.concatenate([points for _, points in solids]), view)
+    carriers = {joint.parent for joint in urdf.joints if joint.child in urdf.sensors}
+    for name, points in solids:
+        role = name.split("_")[0]
+        panel.polygon(points, FILLS.get(role, C_FILL if name in carriers else "#dddddd"))
+    draw_marks(panel, geometry, places)
+    title = urdf.name + suffix.replace("_", ", ")
+    numbers = f"R = {abs(geometry.major_radius) * 1e3:.0f} mm, ε = {np.degrees(geometry.non_orthogonality):.1f}°"
+    panel.text(np.array([14.0, 22.0]), title, size=17)
+    panel.text(np.array([14.0, 41.0]), f"{numbers}, source to detector {np.linalg.norm(beam) * 1e3:.0f} mm", GREY, 13)
+    right, low = PANEL[0] - 20.0, PANEL[1] - 14.0
+    panel.line(np.array([right - panel.scale / 2, low]), np.array([right, low]), GREY, width="3")
+    panel.text(np.array([right - panel.scale / 4, low - 6]), "0.5 m", GREY, 12, "middle")
+
+
+def draw_marks(panel: Panel, geometry: NominalGeometry, places: dict[str, Array]) -> None:
+    """Axes, pivot, torus centre, offset, beam and their names."""
+    center, n, z = (geometry.T_base_torus[:3, k] for k in (3, 0, 2))
+    pivot = center + geometry.major_radius * z
+    epsilon = geometry.non_orthogonality
+    a = geometry.T_base_torus[:3, :3] @ np.array([-np.sin(epsilon), np.cos(epsilon), 0])
+    panel.line(places["source"], places["detector"], GREY, "1 3", "1")
+    panel.axis(center, n, RED)
+    panel.axis(pivot, a, BLUE)
+    panel.line(places["sensor"], pivot, GREEN, "5 3")
     panel.cross(center)
-    panel.pivot(pivot)
-    panel.dimension(source, detector, 1.68, f"{np.linalg.norm(detector - source) * 1e3:.0f} mm", GREY)
-    if not geometry.isocentric:
-        panel.dimension(center, pivot, 1.52, "R", RED)
-    panel.text(source - 0.15 * X + 0.13 * Z, "source", anchor="end")
-    panel.text(detector + 0.19 * X + 0.03 * Z, "detector")
-    panel.text(sensor + 0.06 * X, "sensor", GREEN)
-    size = f"R = {abs(geometry.major_radius) * 1e3:.0f} mm, ε = {np.degrees(geometry.non_orthogonality):.1f}°"
-    panel.text(np.array([VIEW[0] + 0.06, 0, 1.93]), f"{urdf.name}: {size}", size=16)
+    for name, place in places.items():
+        across = 1 if (panel.view @ (places["detector"] - places["source"]))[0] == 0 else 0
+        shift = np.array([0.21 * panel.scale + 6, -4.0]) if across else np.array([0, 0.24 * panel.scale + 14])
+        if name == "sensor":
+            shift = np.array([0.05 * panel.scale + 5, 4.0])
+        panel.text(panel.at(place) + shift, name, GREEN if name == "sensor" else "black", 13)
 
 
 def draw_legend(panel: Panel) -> None:
-    x, z = VIEW[0] + 0.25, 1.5
     rows = [
-        "angular axis (α): the whole C turns about it",
-        "rotation centre (pivot); the orbital axis (β) is normal to the page",
-        "torus centre: foot of the axes' common perpendicular, of length R",
-        "offset t, from the sensor to the rotation centre",
+        "first axis (α): all that follows turns about it; a ring where it is normal to the page",
+        "second axis (β): the sensor turns about it; a ring where it is normal to the page",
+        "torus centre: foot of the axes' common perpendicular on the first axis",
+        "offset t, from the sensor to the rotation centre on the second axis",
         "beam, from the focal spot to the detector's face",
     ]
-    places = [np.array([x, 0, z - 0.17 * i]) for i in range(len(rows))]
-    half = 0.09 * X
-    panel.line(places[0] - half, places[0] + half, RED, "12 3 2 3")
-    panel.pivot(places[1])
+    places = [np.array([45.0, 90.0 + 36 * i]) for i in range(len(rows))]
+    half = np.array([25.0, 0.0])
+    for place, colour in zip(places, (RED, BLUE), strict=False):
+        panel.line(place - half, place + half, colour, "12 3 2 3")
     panel.cross(places[2])
     panel.line(places[3] - half, places[3] + half, GREEN, "5 3")
-    panel.line(places[4] - half, places[4] + half, GREY, "1 3", 1)
+    panel.line(places[4] - half, places[4] + half, GREY, "1 3", "1")
     for place, words in zip(places, rows, strict=True):
-        panel.text(place + 0.14 * X - 0.02 * Z, words, size=13)
-    panel.text(np.array([x - 0.09, 0, z - 1.05]), "All joints at zero, seen from the right; x forward, z up.", GREY, 13)
+        panel.text(place + np.array([38, 5]), words, size=14)
+    note = "All joints at zero, seen from the right (x to the right, z up); biplane, lateral: seen from the patient."
+    panel.text(np.array([20.0, 290.0]), note, GREY, 14)
 
 
 def draw(urdfs: list[UrdfFile]) -> bytes:
-    """The drawing as SVG: two machines a row, the legend last."""
-    width, height = 2 * PANEL[0], (len(urdfs) // 2 + 1) * PANEL[1]
+    """The drawing as SVG: a panel for each sensor, the legend last."""
+    branches = [(urdf, sensor) for urdf in urdfs for sensor in urdf.sensors]
+    width, height = COLUMNS * PANEL[0], (len(branches) // COLUMNS + 1) * PANEL[1]
     size = {"width": str(width), "height": str(height), "viewBox": f"0 0 {width} {height}"}
     svg = etree.Element("svg", size | {"font-family": "sans-serif"}, nsmap={None: "http://www.w3.org/2000/svg"})
     etree.SubElement(svg, "rect", width="100%", height="100%", fill="white")
-    for i, urdf in enumerate(urdfs):
-        draw_machine(Panel(svg, i % 2, i // 2), urdf)
-    draw_legend(Panel(svg, len(urdfs) % 2, len(urdfs) // 2))
+    for number, (urdf, sensor) in enumerate(branches):
+        draw_machine(Panel(svg, number), urdf, sensor)
+    draw_legend(Panel(svg, len(branches)))
     return etree.tostring(svg, pretty_print=True)
 
 

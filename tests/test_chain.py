@@ -6,17 +6,27 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from family import BRANCHES, FILES, IDS, link_pose
 
 from carm_kin.chain import chain_of, nominal_geometry
 from carm_kin.errors import InputError
-from carm_kin.urdf import bundled_urdfs, patch_origins, read_urdf
+from carm_kin.urdf import patch_origins, read_urdf
 from solvers.se3 import exp_so3, inverse, transform
 
 EXPECTED = {
-    # machine: R (mm), epsilon (deg), offset (mm), torus centre (mm) as the file's author meant them
-    "mobile_isocentric": (0, 0, (-50, -120, -680), (1400, 0, 1050)),
-    "mobile_nonisocentric": (100, 0, (130, 80, -700), (1400, 0, 950)),
-    "mobile_skewed": (60, 0.7, None, (1400 + 4 * np.tan(np.radians(0.7)), 0, 990)),
+    # machine: R (mm, signed), epsilon (deg), torus centre (mm) as the file's author meant them
+    "mobile_isocentric": (0, 0, (1400, 0, 1050)),
+    "mobile_nonisocentric": (100, 0, (1400, 0, 950)),
+    "mobile_skewed": (60, 0.7, (1400 + 4 * np.tan(np.radians(0.7)), 0, 990)),
+    "mobile_residual": (12, 0.2, (1400 - 2 * np.tan(np.radians(0.2)), 0, 1038)),
+    "mobile_3d": (0, 0, (1400, 0, 1050)),
+    "mobile_beam_offset": (30, 0, (1400, 0, 1020)),
+    "mini_boom": (0, 0, (1330, 0, 970)),
+    "floor_angio": (0, 0, (1250, 0, 1070)),
+    "ceiling_angio": (5, 0, (1180, 0, 1070)),
+    "driven_gantry": (-8, 0, (1150, 0, 1070)),
+    "ring_gantry": (2, 0, (1170, 0, 1150)),
+    "orbital_first": (-20, -0.3, (1250, 700 * np.tan(np.radians(0.3)), 1100)),
 }
 
 ODD = """<robot name="odd">
@@ -57,11 +67,13 @@ def machine(tmp_path, *joints):
     return read_urdf(path)
 
 
-@pytest.mark.parametrize("name", [*bundled_urdfs(), "odd"])
-def test_forward_kinematics_equals_yourdfpy(name, odd):
+@pytest.mark.parametrize("name, link", [*BRANCHES, ("odd", "tip")], ids=[*IDS, "odd"])
+def test_forward_kinematics_equals_yourdfpy(name, link, odd):
     yourdfpy = pytest.importorskip("yourdfpy")
     urdf = odd if name == "odd" else read_urdf(name)
-    chain = chain_of(urdf, "tip" if name == "odd" else None)
+    chain = chain_of(urdf, link)
+    if any(joint.type == "planar" for joint in urdf.joints):
+        pytest.skip("yourdfpy takes no configuration of a planar joint")
     robot = yourdfpy.URDF.load(str(urdf.path), load_meshes=False, load_collision_meshes=False)
     q = np.random.default_rng(0).uniform(-1, 1, (5, len(chain.names)))
     for row, T in zip(q, chain.forward_kinematics(q), strict=True):
@@ -124,40 +136,60 @@ def test_a_planar_joint_stands_as_three(tmp_path):
 
 @pytest.mark.parametrize("name", EXPECTED)
 def test_nominal_geometry_of_the_bundled_machines(name):
-    major_radius, epsilon, offset, center = EXPECTED[name]
-    urdf = read_urdf(name)
-    geometry = nominal_geometry(chain_of(urdf))
-    assert geometry.axes == ("angular", "orbital")
+    major_radius, epsilon, center = EXPECTED[name]
+    geometry = nominal_geometry(chain_of(read_urdf(name)))
+    assert geometry.axes == (("orbital", "angular") if name == "orbital_first" else ("angular", "orbital"))
     assert geometry.major_radius * 1e3 == pytest.approx(major_radius, abs=1e-9)
     assert np.degrees(geometry.non_orthogonality) == pytest.approx(epsilon, abs=1e-9)
     assert geometry.isocentric == (major_radius == 0)
     np.testing.assert_allclose(geometry.T_base_torus[:3, 3] * 1e3, center, atol=1e-9)
-    mount = next(joint for joint in urdf.joints if joint.name == "sensor_mount").xyz
-    assert geometry.minor_radius == pytest.approx(np.hypot(mount[0], mount[2]), abs=1e-12)
-    if offset:
-        np.testing.assert_allclose(geometry.offset * 1e3, offset, atol=1e-9)
-    source, detector = (chain_of(urdf, link).forward_kinematics(np.zeros(8)) for link in ("source", "detector"))
-    np.testing.assert_allclose((inverse(source) @ detector)[:3, 3], [0, 0, 1.02], atol=1e-12)
 
 
-def test_the_readme_has_the_computed_numbers():
-    readme = (Path(__file__).parents[1] / "urdf" / "README.md").read_text(encoding="utf-8")
-    geometries = [nominal_geometry(chain_of(read_urdf(name))) for name in bundled_urdfs()]
+@pytest.mark.parametrize(
+    "name, offset", [("mobile_isocentric", (-50, -120, -680)), ("mobile_nonisocentric", (130, 80, -700))]
+)
+def test_nominal_offset_of_a_sensor_that_stands_straight(name, offset):
+    np.testing.assert_allclose(nominal_geometry(chain_of(read_urdf(name))).offset * 1e3, offset, atol=1e-9)
 
-    def row(title, values):
-        texts = [", ".join(f"{v + 0.0:.3f}" for v in np.round(np.atleast_1d(value), 3)) for value in values]
-        return f"| {title} | {' | '.join(texts)} |"
 
-    names = " | ".join(f"`{name}`" for name in bundled_urdfs())
-    assert f"| | {names} |" in readme
-    assert row("major radius R, mm", [1e3 * g.major_radius for g in geometries]) in readme
-    assert row("non-orthogonality ε, deg", [np.degrees(g.non_orthogonality) for g in geometries]) in readme
-    assert row("minor radius (sensor's orbit), mm", [1e3 * g.minor_radius for g in geometries]) in readme
-    assert row("offset t (pivot in the sensor frame), mm", [1e3 * g.offset for g in geometries]) in readme
-    distances = [1e3 * np.linalg.norm(g.offset) for g in geometries]
-    assert row("distance from sensor to pivot, mm", distances) in readme
-    centers = [1e3 * g.T_base_torus[:3, 3] for g in geometries]
-    assert row("torus centre at zero (in `floor`), mm", centers) in readme
+README = (Path(__file__).parents[1] / "urdf" / "README.md").read_text(encoding="utf-8")
+
+
+def row(name, link, *cells):
+    sensor = "" if link == "sensor" else f", `{link}`"
+    return "\n| " + " | ".join([f"`{name}`{sensor}", *cells]) + " |\n"
+
+
+@pytest.mark.parametrize("name, link", BRANCHES, ids=IDS)
+def test_the_readme_has_the_computed_numbers(name, link):
+    geometry = nominal_geometry(chain_of(read_urdf(name), link))
+    suffix = link.removeprefix("sensor")
+    source, detector = (link_pose(FILES[name], part + suffix, {})[:3, 3] for part in ("source", "detector"))
+    values = (
+        abs(geometry.major_radius) * 1e3,
+        np.degrees(geometry.non_orthogonality),
+        geometry.minor_radius * 1e3,
+        geometry.offset * 1e3,
+        geometry.T_base_torus[:3, 3] * 1e3,
+    )
+    cells = [", ".join(f"{v + 0.0:.3f}" for v in np.round(np.atleast_1d(value), 3)) for value in values]
+    assert row(name, link, *cells, f"{np.linalg.norm(detector - source) * 1e3:.0f}") in README
+
+
+@pytest.mark.parametrize("name, link", BRANCHES, ids=IDS)
+def test_the_readme_has_the_joints(name, link):
+    chain = chain_of(read_urdf(name), link)
+    joints = []
+    for joint, kind, limits in zip(chain.names, chain.types, zip(chain.lower, chain.upper, strict=True), strict=True):
+        scale, unit = (1e3, "mm") if kind == "prismatic" else (np.degrees(1), "deg")
+        ends = " to ".join(f"{limit * scale:.5g}" for limit in limits)
+        joints.append(f"`{joint}` {ends} {unit}" if np.isfinite(limits).all() else f"`{joint}` any")
+    assert row(name, link, ", ".join(joints)) in README
+
+
+def test_the_readme_says_what_every_machine_is():
+    for name in FILES:
+        assert re.search(rf"\n\| `{name}` \| [^|]+ \| [^|]*(typical|published|estimated|KUKA)[^|]* \|\n", README), name
 
 
 def test_the_drawing_is_that_of_the_urdfs(tmp_path, monkeypatch):
@@ -253,7 +285,7 @@ def test_an_orbital_joint_nearer_the_base_is_the_first_axis_and_said_to_be(tmp_p
 def test_the_sensor_link_is_found_or_asked_for(odd, tmp_path):
     assert chain_of(machine(tmp_path, *SKEW)).sensor_link == "l5"
     assert chain_of(read_urdf("mobile_skewed")).sensor_link == "sensor"
-    with pytest.raises(InputError, match=re.escape("Name it (sensor_link); the leaf links are tip, side")):
+    with pytest.raises(InputError, match=re.escape("Name it (sensor_link): tip, side")):
         chain_of(odd)
     with pytest.raises(InputError, match="no link is named 'tp'; valid: base, a, b"):
         chain_of(odd, "tp")

@@ -132,7 +132,7 @@ def test_bad_options_of_simulate(arguments, expected, tmp_path, monkeypatch, cap
         ("-O", "tolerance=1", "-O", "tolerance=2"): "'tolerance' is given twice",
         ("--angular", "bogus"): "--angular: no joint 'bogus'; the recording has angular, orbital",
         ("--orbital", "bogus"): "--orbital: no joint 'bogus'",
-        ("--urdf", "bogus"): "bogus: no such file; bundled machines: mobile_isocentric",
+        ("--urdf", "bogus"): "bogus: no such file; bundled machines: biplane, ceiling_angio",
         ("--json", "none/r.json"): "the folder none does not exist",
         ("--json", "."): "is a folder",
         ("--json", ""): "is a folder",

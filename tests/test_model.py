@@ -6,11 +6,12 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from family import BRANCHES, IDS
 
 from carm_kin.chain import chain_of, nominal_geometry
 from carm_kin.errors import InputError, MissingDependencyError
 from carm_kin.model import Model
-from carm_kin.urdf import bundled_urdfs, read_urdf
+from carm_kin.urdf import read_urdf
 from solvers.se3 import exp_se3, inverse, log_se3
 
 MIXED = """<robot name="mixed">
@@ -28,12 +29,13 @@ MIXED = """<robot name="mixed">
 """
 
 
-@pytest.fixture(params=[*bundled_urdfs(), "mixed"])
+@pytest.fixture(params=[*BRANCHES, ("mixed", "angular")], ids=[*IDS, "mixed"])
 def machine(request, tmp_path):
     pytest.importorskip("pinocchio")
-    if request.param != "mixed":
-        urdf = read_urdf(request.param)
-        return urdf, chain_of(urdf)
+    name, link = request.param
+    if name != "mixed":
+        urdf = read_urdf(name)
+        return urdf, chain_of(urdf, link)
     (tmp_path / "mixed.urdf").write_text(MIXED)
     urdf = read_urdf(tmp_path / "mixed.urdf")
     return urdf, chain_of(urdf, "angular")
@@ -58,12 +60,15 @@ def closed_form(T_base_torus, R, epsilon, T_sensor_carm, alpha, beta):
 def test_poses_equal_the_closed_form(machine):
     """One nominal geometry; the torus is carried along by the joints before the angular one."""
     urdf, chain = machine
-    first = min(chain.angular, chain.orbital)
+    first = chain.angular
     geometry = nominal_geometry(chain)
     q = configurations(chain, 50)
     T = Model(urdf, chain).forward_kinematics(q)
-    T_base_before = chain.joint_frames(q)[:, first - 1]
-    T_before_torus = inverse(chain.joint_frames(np.zeros(len(chain.names)))[first - 1]) @ geometry.T_base_torus
+    T_base_before, T_base_before_zero = np.broadcast_to(np.eye(4), (50, 4, 4)), np.eye(4)
+    if first > 0:
+        T_base_before = chain.joint_frames(q)[:, first - 1]
+        T_base_before_zero = chain.joint_frames(np.zeros(len(chain.names)))[first - 1]
+    T_before_torus = inverse(T_base_before_zero) @ geometry.T_base_torus
     for row, actual, T_base_torus in zip(q, T, T_base_before @ T_before_torus, strict=True):
         alpha, beta = row[chain.angular], row[chain.orbital]
         expected = closed_form(
@@ -112,8 +117,8 @@ def test_wrong_configurations_are_refused(machine):
     urdf, chain = machine
     model = Model(urdf, chain)
     for method in (model.forward_kinematics, model.jacobian, model.placement_regressor):
-        with pytest.raises(InputError, match=f"3 joint values for {len(chain.names)} joints"):
-            method(np.zeros((2, 3)))
+        with pytest.raises(InputError, match=f"7 joint values for {len(chain.names)} joints"):
+            method(np.zeros((2, 7)))
     assert model.forward_kinematics(np.zeros(len(chain.names))).shape == (1, 4, 4)
 
 

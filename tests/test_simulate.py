@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from family import BRANCHES, IDS
 
 import carm_kin
 from carm_kin.chain import chain_of, nominal_geometry
@@ -83,10 +84,10 @@ def test_missing_frames_keep_their_place_in_the_file(tmp_path):
     assert len((tmp_path / "rec.csv").read_text().splitlines()) == len(whole) + 1
 
 
-@pytest.mark.parametrize("machine", bundled_urdfs())
-def test_poses_follow_the_chain_and_the_truth(machine):
+@pytest.mark.parametrize("machine, sensor", BRANCHES, ids=IDS)
+def test_poses_follow_the_chain_and_the_truth(machine, sensor):
     """Pinocchio's poses against the formula of the design, with the truth's own numbers."""
-    recording, truth = simulate(machine, "minimal", seed=6)
+    recording, truth = simulate(machine, "minimal", sensor_link=sensor, seed=6)
     alpha, beta = np.radians([-90.0] * 360), np.radians(np.arange(360.0))
     placement, mount = truth.placements[0].T_world_torus, truth.T_sensor_carm
     assert placement is not None
@@ -94,7 +95,7 @@ def test_poses_follow_the_chain_and_the_truth(machine):
     x, y, z = np.eye(3)
     R = exp_so3(alpha[:, None] * x)
     R_carm = R @ exp_so3(z * truth.axis_non_orthogonality_rad) @ exp_so3(beta[:, None] * y)
-    T = placement @ transform(R_carm, R @ (z * truth.major_radius_m)) @ inverse(mount)
+    T = placement @ transform(R_carm, R @ (z * truth.major_radius_signed_m)) @ inverse(mount)
     assert recording.R_world_sensor is not None
     np.testing.assert_allclose(recording.p_world_sensor[:360], T[:, :3, 3], atol=1e-12)
     np.testing.assert_allclose(recording.R_world_sensor[:360], T[:, :3, :3], atol=1e-12)

@@ -163,7 +163,7 @@ def test_a_doctype_in_a_comment_is_no_doctype(tmp_path):
 
 
 def test_missing_file_folder_and_size(tmp_path, monkeypatch):
-    assert refusal(tmp_path / "none.urdf").startswith(": no such file; bundled machines: mobile_isocentric, ")
+    assert refusal(tmp_path / "none.urdf").startswith(": no such file; bundled machines: biplane, ceiling_angio, ")
     assert refusal(tmp_path) == ": is a folder; give a URDF file"
     path = written(tmp_path, GOOD)
     monkeypatch.setattr("carm_kin.urdf.MAX_BYTES", 100)
@@ -176,7 +176,7 @@ def test_names_stand_for_bundled_machines(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "mobile_skewed").mkdir()
     assert find_urdf("mobile_skewed").is_file()
-    with pytest.raises(InputError, match="mobile_nonisocentric, mobile_skewed"):
+    with pytest.raises(InputError, match="mobile_nonisocentric, mobile_residual, mobile_skewed"):
         find_urdf("mobile_skwed")
 
 
