@@ -13,7 +13,7 @@ from carm_kin.result import CalibrationResult
 from solvers.covariance import reported_jacobian
 from solvers.kinematic import SIGMA_FLOOR
 from solvers.likelihood import LOCAL, linearise
-from solvers.nearest import both, nearest, other
+from solvers.nearest import nearest, other
 from solvers.problem import Problem
 from solvers.se3 import Array, inverse, log_so3, skew
 from solvers.torus import Torus
@@ -39,7 +39,8 @@ class TorusPoses:
     distance_rad: Array | None
     """(N,) angle from the measured orientations; None where there are none."""
     chi2: Array
-    """(N,) both, squared and over their noise. A sound pose has 4 on average (1 without orientations)."""
+    """(N,) distance_m^2 / sigma_t^2 + (2 sin(distance_rad / 2))^2 / sigma_r^2; for the nearest pose to a sound one 4 on
+    average, 1 without orientations."""
 
     @property
     def pivot_world_m(self) -> Array:
@@ -104,12 +105,12 @@ class RotationCentre:
     def locate(self, T_world_sensor: ArrayLike) -> Located:
         """The C-arm at poses (N, 4, 4), m. Raises InputError where they are no rigid motions.
 
-        The nearest pose minimises |p - p(alpha, beta)|^2 / sigma_t^2 + |log R(alpha, beta)^T R|^2 / sigma_r^2 from
-        the angles that the orientation tells.
+        The nearest pose minimises |p - p(alpha, beta)|^2 / sigma_t^2 + (2 sin(theta / 2))^2 / sigma_r^2 over all alpha
+        and beta, theta being the angle between R and R(alpha, beta).
         """
         T = transforms("T_world_sensor", T_world_sensor)
         problem = Problem.of_poses(T[:, :3, 3], T[:, :3, :3])
-        angles = nearest(self.torus, problem, self.sigma, self.torus.angles(problem).T)
+        angles = nearest(self.torus, problem, self.sigma)
         sigma_angles, sigma_pivot = self._sigma_of_nearest(problem, angles)
         return Located(
             T @ self.torus.T_sensor_carm,
@@ -129,8 +130,7 @@ class RotationCentre:
         """
         p = np.atleast_2d(floats("p_world_sensor", p_world_sensor))
         problem = Problem.of_poses(numeric("p_world_sensor", p, (len(p), 3)), None)
-        one, two = (nearest(self.torus, problem, self.sigma, start) for start in both(self.torus, problem))
-        angles = np.where(self._poses(problem, two).chi2 < self._poses(problem, one).chi2, two, one)
+        angles = nearest(self.torus, problem, self.sigma)
         return self._poses(problem, angles), self._poses(problem, other(self.torus, problem, angles))
 
     def _poses(self, problem: Problem, angles: Array) -> TorusPoses:
@@ -139,7 +139,7 @@ class RotationCentre:
         chi2, turn = (distance / self.sigma[0]) ** 2, None
         if problem.R_world_sensor is not None:
             turn = np.linalg.norm(log_so3(np.swapaxes(T[:, :3, :3], 1, 2) @ problem.R_world_sensor), axis=1)
-            chi2 = chi2 + (turn / self.sigma[1]) ** 2
+            chi2 = chi2 + (2 * np.sin(turn / 2) / self.sigma[1]) ** 2
         return TorusPoses(angles[0], angles[1], T, T @ self.torus.T_sensor_carm, distance, turn, chi2)
 
     @cached_property

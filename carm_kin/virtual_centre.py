@@ -28,7 +28,8 @@ MIN_POSES = 6
 PROBABILITY = 1e-6
 """Less probable spreads are not taken for noise."""
 OUTLIER_SIGMAS = 6.0
-"""A pose whose orbital axis is off the others' by more standard deviations of the orientation noise is left out."""
+"""A pose whose orbital axis is off the others' by more standard deviations, of its own and of the calibrated axis, is
+left out."""
 MAX_SIGMA_M = 0.020
 """Largest one-sigma of the centre in any direction."""
 BASE_TURNED_RAD = float(np.radians(0.5))
@@ -49,8 +50,8 @@ def virtual_centre(
 
     A centre counts as fixed if the noise explains its spread, or if what the noise leaves is within ``tolerance_m``.
     ``placement`` names the calibrated place of the base, by default that of the scan's own label. The base may have
-    travelled since; only where it has not turned are alpha, beta and the travel given. ``sigma_t_m`` and ``sigma_r_rad`` are the
-    noise of the scan's poses; by default that of the calibration.
+    travelled since; only where it has not turned are alpha, beta and the travel given. ``sigma_t_m`` and
+    ``sigma_r_rad`` are the noise of the scan's poses; by default that of the calibration.
 
     Raises InputError for a result without a complete chain, an unknown placement, a scan without orientations or with
     several placements, and a tolerance or noise that is not above 0.
@@ -66,7 +67,7 @@ def virtual_centre(
     again = repeated(scan.p_world_sensor, scan.R_world_sensor)
     off = _axis_off(T[~again], torus)
     astray = np.zeros(len(scan), dtype=bool)
-    astray[~again] = off > OUTLIER_SIGMAS * sigma[1]
+    astray[~again] = off > OUTLIER_SIGMAS * np.hypot(sigma[1], _sigma_of_axis(result.covariance))
     used = ~again & ~astray
     blank = VirtualCentre(
         "refused",
@@ -96,6 +97,13 @@ def _axis_off(T: Array, torus: Torus) -> Array:
         return np.zeros(0)
     most = np.median(y, axis=0)
     return np.arctan2(np.linalg.norm(np.cross(y, most), axis=1), y @ most)
+
+
+def _sigma_of_axis(covariance: Covariance | None) -> float:
+    """Of the calibrated orbital axis in the worst direction, rad: off by it, it makes a cone during the scan."""
+    if covariance is None:
+        return 0.0
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance.block("orbital_axis_sensor"))[-1], 0.0)))
 
 
 def _outliers(scan: Recording, masks: dict[str, np.ndarray]) -> r.Outliers:

@@ -1,90 +1,133 @@
 """The angles at which a pose of the two-axis chain comes nearest to a given pose: its inverse kinematics.
 
-A full pose on the torus has one pair of angles, since the x row and the y column of
-Rx(alpha) Rz(epsilon) Ry(beta) tell them separately. A position alone has two candidates. With the sensor at
-(b sin(gamma), t_y, b cos(gamma)) in `carm`, its coordinate along the angular axis is
+With theta the angle between the orientations and |dp| the distance of the positions
 
-    x = b cos(epsilon) sin(phi) - t_y sin(epsilon),    phi = beta + gamma,
+    chi2 = |dp|^2 / sigma_t^2 + (2 sin(theta / 2))^2 / sigma_r^2 = const + u(alpha)^T M u(beta)
 
-so phi or pi - phi, and alpha then turns that point into the given half plane. docs/estimation.md, 13, says which of
-the two lies on the surface.
+with u(a) = (1, cos a, sin a) and one 3x3 matrix M for each pose, since position and orientation of the chain are linear
+in both u. So the best beta for a given alpha is known in closed form, and the other way round. docs/estimation.md, 13,
+derives M.
 """
 
 import numpy as np
 
-from solvers.likelihood import linearise
 from solvers.problem import Problem
 from solvers.se3 import Array, inverse
 from solvers.torus import Torus
 
-STEPS = 60
-"""Most steps of one search."""
-SETTLED_RAD = 1e-11
-"""A shorter step ends it."""
+GRID = 144
+"""Values of alpha from which the best is taken."""
+STEPS = 50
+"""Most steps from there."""
+SETTLED_RAD = 1e-12
+"""A shorter step ends them."""
 
 
-def nearest(torus: Torus, problem: Problem, sigma: tuple[float, float], start: Array) -> Array:
-    """alpha, beta (2, N), rad, of the least chi-square |dp|^2 / sigma_t^2 + |dw|^2 / sigma_r^2 of each pose.
+def nearest(torus: Torus, problem: Problem, sigma: tuple[float, float]) -> Array:
+    """alpha, beta (2, N), rad, in (-pi, pi], of the least chi2 of each pose; ``sigma`` is (m, rad).
 
-    ``sigma`` is (m, rad), ``start`` (2, N). Levenberg-Marquardt with a damping for each pose, so that no step makes
-    a pose worse. Without orientations the distance of the positions is minimised.
+    From the least over a grid of alpha with the best beta each, and from the second solution of that position, which
+    may be as near. Without orientations the distance of the positions is minimised.
     """
-    angles, damping = start.copy(), np.full(len(problem), 1e-9)
-    residual, by_angle = _weighted(torus, problem, sigma, angles)
-    for _ in range(STEPS):
-        G = np.swapaxes(by_angle, 1, 2) @ by_angle
-        diagonal = np.einsum("nii->ni", G)
-        diagonal *= 1 + damping[:, None]
-        diagonal += 1e-300
-        step = -np.linalg.solve(G, np.swapaxes(by_angle, 1, 2) @ residual[:, :, None])[:, :, 0].T
-        trial = angles + step
-        residual_there, by_angle_there = _weighted(torus, problem, sigma, trial)
-        better = (residual_there**2).sum(axis=1) <= (residual**2).sum(axis=1)
-        angles = np.where(better, trial, angles)
-        residual = np.where(better[:, None], residual_there, residual)
-        by_angle = np.where(better[:, None, None], by_angle_there, by_angle)
-        damping = np.where(better, 0.1 * damping, np.maximum(10 * damping, 1e-6))
-        if np.abs(step).max(initial=0.0) < SETTLED_RAD:
-            break
-    return np.angle(np.exp(1j * angles))
-
-
-def both(torus: Torus, problem: Problem) -> Array:
-    """(2, 2, N): the first and the second candidate, alpha and beta, rad, of each position in closed form.
-
-    Where no point of the torus has the position's x, phi is +-90 degrees and the two are one.
-    """
-    q = inverse(torus.T_sensor_carm)[:3, 3]
-    p = _in_torus(torus, problem)
-    reach = np.hypot(q[0], q[2]) * np.cos(torus.non_orthogonality)
-    sine = (p[:, 0] + q[1] * np.sin(torus.non_orthogonality)) / max(reach, np.finfo(float).tiny)
-    beta = np.arcsin(np.clip(sine, -1, 1)) - np.arctan2(q[0], q[2])
-    first = np.stack([_alpha(torus, p, beta), np.angle(np.exp(1j * beta))])
-    return np.stack([first, other(torus, problem, first)])
+    M = _forms(torus, problem, sigma)
+    one = _refined(M, _start(M))
+    two = _refined(M, other(torus, problem, one))
+    return np.angle(np.exp(1j * np.where(_value(M, two) < _value(M, one), two, one)))
 
 
 def other(torus: Torus, problem: Problem, angles: Array) -> Array:
-    """alpha, beta (2, N), rad, of the candidate that has the same x as that at ``angles`` (2, N)."""
+    """alpha, beta (2, N), rad: the second solution of each position, at the same place along the angular axis.
+
+    With the sensor at (b sin(gamma), t_y, b cos(gamma)) in `carm` that place is b cos(epsilon) sin(beta + gamma)
+    - t_y sin(epsilon), so beta + gamma and pi less it have it in common. alpha brings the sensor nearest
+    to the position.
+    """
     q = inverse(torus.T_sensor_carm)[:3, 3]
     beta = np.pi - 2 * np.arctan2(q[0], q[2]) - angles[1]
-    return np.stack([_alpha(torus, _in_torus(torus, problem), beta), np.angle(np.exp(1j * beta))])
+    alpha = _best((_forms(torus, Problem.of_poses(problem.p_world_sensor, None), (1.0, 1.0)) @ _u(beta))[:, :, 0])
+    return np.angle(np.exp(1j * np.stack([alpha, beta])))
 
 
-def _alpha(torus: Torus, p: Array, beta: Array) -> Array:
-    """alpha (N,) that brings the sensor at ``beta`` (N,) nearest to ``p`` (N, 3), in the torus frame."""
-    zero = np.zeros_like(beta)
-    at = torus.T_torus_carm(np.stack([zero, beta], axis=1)) @ np.append(inverse(torus.T_sensor_carm)[:3, 3], 1.0)
-    return np.angle(np.exp(1j * (np.arctan2(p[:, 2], p[:, 1]) - np.arctan2(at[:, 2], at[:, 1]))))
+def _forms(torus: Torus, problem: Problem, sigma: tuple[float, float]) -> Array:
+    """M (N, 3, 3) of the first placement."""
+    R_wt, R_sc = torus.T_world_torus[0, :3, :3], torus.T_sensor_carm[:3, :3]
+    q, R = inverse(torus.T_sensor_carm)[:3, 3], torus.major_radius
+    W = _turned(torus, q) + np.outer([0, 0, R], [1, 0, 0])
+    M = -2 * _against((problem.p_world_sensor - torus.center[0]) @ R_wt) @ W
+    M[:, 0] += 2 * R * np.array([0, q[2], -q[0]])
+    M /= sigma[0] ** 2
+    if problem.R_world_sensor is not None:
+        R_torus_carm = R_wt.T @ problem.R_world_sensor @ R_sc
+        for k in range(3):
+            M -= _against(R_torus_carm[:, :, k]) @ _turned(torus, np.eye(3)[k]) / sigma[1] ** 2
+    return M
 
 
-def _in_torus(torus: Torus, problem: Problem) -> Array:
-    """(N, 3) positions in the torus frame of their placement, m."""
-    R = torus.T_world_torus[problem.placement, :3, :3]
-    return np.einsum("nji,nj->ni", R, problem.p_world_sensor - torus.center[problem.placement])
+def _turned(torus: Torus, q: Array) -> Array:
+    """(3, 3): Rz(epsilon) Ry(beta) q over u(beta)."""
+    c, s = np.cos(torus.non_orthogonality), np.sin(torus.non_orthogonality)
+    return np.array([[-s * q[1], c * q[0], c * q[2]], [c * q[1], s * q[0], s * q[2]], [0.0, q[2], -q[0]]])
 
 
-def _weighted(torus: Torus, problem: Problem, sigma: tuple[float, float], angles: Array) -> tuple[Array, Array]:
-    """Residuals (N, K) and their derivatives by the angles (N, K, 2), each over its noise."""
-    line = linearise(torus, angles, problem)
-    scale = 1 / np.repeat(sigma, 3)[: len(line.residual)]
-    return line.residual.T * scale, np.moveaxis(line.by_angle, -1, 0) * scale[:, None]
+def _against(p: Array) -> Array:
+    """(N, 3, 3): p^T Rx(alpha) over u(alpha), for p (N, 3)."""
+    P = np.zeros((len(p), 3, 3))
+    P[:, 0, 0] = p[:, 0]
+    P[:, 1, 1], P[:, 1, 2] = p[:, 1], p[:, 2]
+    P[:, 2, 1], P[:, 2, 2] = p[:, 2], -p[:, 1]
+    return P
+
+
+def _u(angle: Array) -> Array:
+    """(N, 3, 1)."""
+    return np.stack([np.ones_like(angle), np.cos(angle), np.sin(angle)], axis=1)[:, :, None]
+
+
+def _start(M: Array) -> Array:
+    """The least over a grid of alpha."""
+    angles, least = np.zeros((2, len(M))), np.full(len(M), np.inf)
+    for alpha in np.linspace(-np.pi, np.pi, GRID, endpoint=False):
+        v = M[:, 0] + np.cos(alpha) * M[:, 1] + np.sin(alpha) * M[:, 2]
+        value = v[:, 0] - np.hypot(v[:, 1], v[:, 2])
+        better = value < least
+        least = np.where(better, value, least)
+        angles = np.where(better, [np.full(len(v), alpha), _best(v)], angles)
+    return angles
+
+
+def _refined(M: Array, angles: Array) -> Array:
+    """Newton steps; where one of them would not descend, the best beta and then the best alpha."""
+    for _ in range(STEPS):
+        before, trial = angles, _newton(M, angles)
+        angles = np.where(_value(M, trial) <= _value(M, before), trial, _alternated(M, before))
+        if np.abs(np.sin(angles - before)).max(initial=0.0) < SETTLED_RAD:
+            break
+    return angles
+
+
+def _value(M: Array, angles: Array) -> Array:
+    return (np.swapaxes(_u(angles[0]), 1, 2) @ M @ _u(angles[1]))[:, 0, 0]
+
+
+def _best(v: Array) -> Array:
+    """The angle (N,) of the least v^T u, for v (N, 3)."""
+    return np.arctan2(-v[:, 2], -v[:, 1])
+
+
+def _alternated(M: Array, angles: Array) -> Array:
+    beta = _best((np.swapaxes(M, 1, 2) @ _u(angles[0]))[:, :, 0])
+    return np.stack([_best((M @ _u(beta))[:, :, 0]), beta])
+
+
+def _newton(M: Array, angles: Array) -> Array:
+    """One step; none where the second derivative is singular."""
+    sine, cosine = np.sin(angles), np.cos(angles)
+    zero, one = np.zeros_like(sine), np.ones_like(sine)
+    u, d, dd = (np.stack(x, axis=1) for x in ((one, cosine, sine), (zero, -sine, cosine), (zero, -cosine, -sine)))
+    a, b, c, g, h = (
+        np.einsum("jn,njk,kn->n", left, M, right)
+        for left, right in ((dd[0], u[1]), (d[0], d[1]), (u[0], dd[1]), (d[0], u[1]), (u[0], d[1]))
+    )
+    determinant = a * c - b * b
+    scale = np.divide(-1.0, determinant, out=np.zeros_like(a), where=determinant != 0)
+    return angles + scale * np.stack([c * g - b * h, a * h - b * g])

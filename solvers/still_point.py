@@ -13,9 +13,6 @@ from solvers.covariance import marginal_covariance
 from solvers.problem import Problem
 from solvers.se3 import Array, inverse
 
-ROUNDS = 4
-"""How often the weights follow the point, from equal ones on."""
-
 
 @dataclass(frozen=True, eq=False)
 class StillPoint:
@@ -40,18 +37,15 @@ def still_point(problem: Problem, T_sensor_carm: Array, sigma: tuple[float, floa
     """The point for poses with the noise ``sigma`` (m, rad).
 
     The noise of the equation is sigma_t along the lever s_i from the sensor to the point, and
-    sqrt(sigma_t^2 + |s_i|^2 sigma_r^2) across it.
+    sqrt(sigma_t^2 + |s_i|^2 sigma_r^2) across it. The lever is taken to the point that equal weights give.
     """
     R = problem.rotations @ T_sensor_carm[:3, :3]
     q = problem.p_world_sensor + problem.rotations @ T_sensor_carm[:3, 3]
     A = np.concatenate([R[:, :, [0, 2]], np.broadcast_to(-np.eye(3), R.shape)], axis=2)
     sensor = inverse(T_sensor_carm)[:3, 3]
-    W = np.broadcast_to(np.eye(3), R.shape)
-    x = least = _solved(A, q, W)[0]
-    H = np.eye(5)
-    for _ in range(ROUNDS - 1):
-        W = _weights(R, _in_plane(x) - sensor, sigma)
-        x, H = _solved(A, q, W)
+    least = _solved(A, q, np.broadcast_to(np.eye(3), R.shape))[0]
+    W = _weights(R, _in_plane(least) - sensor, sigma)
+    x, H = _solved(A, q, W)
     e = q + A @ x
     C = marginal_covariance(H, np.ones(5, dtype=bool))
     C_v = np.zeros((3, 3))

@@ -1,5 +1,6 @@
 """The calibrated C-arm in use against poses written out as rotations about two lines, brute force and Monte Carlo."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -13,8 +14,8 @@ import carm_kin
 from carm_kin.errors import InputError
 from carm_kin.recording import Recording
 from carm_kin.result import CalibrationResult, NoiseLevel, Placement
-from carm_kin.rotation_centre import Located, RotationCentre
-from solvers.estimate import Note
+from carm_kin.rotation_centre import RotationCentre
+from solvers.estimate import Covariance, Note
 
 SIGMA = (3e-4, 1e-3)
 SHAPES = st.sampled_from([(0.1, 0.0), (0.1, 0.012), (-0.1, 0.012), (0.0, 0.0), (0.0, -0.01), (1.2, 0.01)])
@@ -82,13 +83,15 @@ def chi2_of(truth: Machine, T: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """(M,) for one pose T (4, 4) at angles (M, 2)."""
     p, R = truth.poses(angles)
     turn = Rotation.from_matrix(np.swapaxes(R, 1, 2) @ T[:3, :3]).magnitude()
-    return ((p - T[:3, 3]) ** 2).sum(axis=1) / SIGMA[0] ** 2 + turn**2 / SIGMA[1] ** 2
+    return ((p - T[:3, 3]) ** 2).sum(axis=1) / SIGMA[0] ** 2 + (2 * np.sin(turn / 2)) ** 2 / SIGMA[1] ** 2
 
 
-@pytest.mark.parametrize("shape", [(0.1, 0.012), (0.0, 0.0), (1.2, 0.01)])
-def test_a_pose_off_the_torus_goes_to_the_nearest_one(shape):
+@pytest.mark.parametrize("shape", [(0.1, 0.012), (0.0, 0.0), (-0.1, 0.3), (1.2, 0.01)])
+@pytest.mark.parametrize("off", [(0.01, 0.02), (0.5, 0.5), (1.0, 2.0)])
+def test_a_pose_off_the_torus_goes_to_the_nearest_one(shape, off):
+    """From a little to anywhere: nowhere on a grid of both angles is a nearer pose."""
     truth = machine(3, *shape)
-    T = disturbed(stacked(*truth.poses(some_angles(6, 1))), 0.01, 0.02)
+    T = disturbed(stacked(*truth.poses(some_angles(6, 1))), *off)
     near = RotationCentre(calibrated(truth)).locate(T).nearest
     grid = np.stack(np.meshgrid(*[np.radians(np.arange(-180, 180, 3.0))] * 2), axis=-1).reshape(-1, 2)
     for k, pose in enumerate(T):
@@ -185,18 +188,16 @@ def test_positions_alone_find_the_pose():
     np.testing.assert_allclose(first.T_world_sensor[clear], stacked(p, R)[clear], atol=1e-7)
 
 
-def scatter(truth: Machine, result: CalibrationResult, draws: int) -> tuple[Located, np.ndarray]:
-    """One pose with many draws of the noise, and its pivot."""
-    p, R = truth.poses(np.array([[0.4, 0.9]]))
-    T = disturbed(np.repeat(stacked(p, R), draws, axis=0), *SIGMA)
-    return RotationCentre(result).locate(T), p[0] + R[0] @ truth.offset
-
-
 @pytest.mark.parametrize("R", [0.1, 0.0])
-def test_sigmas_are_those_of_the_noise(R):
-    """Standard deviations of 4000 draws: 1.1% uncertain themselves; bound at 5 of these."""
+@pytest.mark.parametrize("sigma", [SIGMA, (3e-4, 2e-2)])
+def test_sigmas_are_those_of_the_noise(R, sigma):
+    """Standard deviations of 4000 draws: 1.1% uncertain themselves; bound at 5 of these. Where the positions tell the
+    angles, the two are correlated."""
     truth = machine(7, R, 0.01)
-    found, pivot = scatter(truth, calibrated(truth), 4000)
+    p, R_world_sensor = truth.poses(np.array([[0.4, 0.9]]))
+    pivot = p[0] + R_world_sensor[0] @ truth.offset
+    T = disturbed(np.repeat(stacked(p, R_world_sensor), 4000, axis=0), *sigma)
+    found = RotationCentre(calibrated(truth), sigma_t_m=sigma[0], sigma_r_rad=sigma[1]).locate(T)
     nearest = found.nearest.pivot_world_m - pivot
     for values, sigma in (
         (found.pivot_world_m - pivot, found.sigma_pivot_world_m),
@@ -228,6 +229,39 @@ def test_sigmas_include_the_calibration():
     for z in (measured, nearest):
         mean = (np.array(z) ** 2).mean(axis=(0, 2))
         assert (np.abs(mean - 1) < 0.4).all(), mean
+
+
+def test_sigmas_of_a_calibration_are_those_of_finite_differences():
+    """Any covariance of the unknowns (not of the zeros of the angles): what changes of the machine do to the pivots."""
+    truth, h = machine(8, 0.1, 0.01), 1e-6
+    T = stacked(*truth.poses(some_angles(4, 3)))
+    root = 1e-3 * np.random.default_rng(3).normal(size=(14, 14))
+    root[[3, 12]] = 0
+    K = difference(lambda x: truth.moved(x).reported(), 14, h)
+    names = [*xyz("offset_sensor_pivot"), "major_radius", "minor_radius", "axis_non_orthogonality"]
+    names += [*xyz("orbital_axis_sensor"), *xyz("torus_center_world[0]"), *xyz("angular_axis_world[0]")]
+    covariance = Covariance(tuple(names), K @ root @ root.T @ K.T)
+    result = replace(calibrated(truth), covariance=covariance)
+    found = RotationCentre(result, sigma_t_m=3e-8, sigma_r_rad=1e-7).locate(T)
+
+    def pivots(x: np.ndarray) -> np.ndarray:
+        here = RotationCentre(calibrated(truth.moved(x))).locate(T)
+        return np.stack([here.pivot_world_m, here.nearest.pivot_world_m])
+
+    J = difference(pivots, 14, h)
+    expected = np.sqrt(((J @ root) ** 2).sum(axis=-1))
+    np.testing.assert_allclose(found.sigma_pivot_world_m, expected[0], rtol=1e-3)
+    np.testing.assert_allclose(found.sigma_nearest_pivot_world_m, expected[1], rtol=1e-3)
+
+
+def difference(function: Callable[[np.ndarray], np.ndarray], size: int, h: float) -> np.ndarray:
+    """Derivative by central differences at 0, the unknown last."""
+    columns = [(function(h * e) - function(-h * e)) / (2 * h) for e in np.eye(size)]
+    return np.stack(columns, axis=-1)
+
+
+def xyz(name: str) -> list[str]:
+    return [f"{name}_{axis}" for axis in "xyz"]
 
 
 def test_the_placement_chooses_the_torus():
