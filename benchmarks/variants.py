@@ -89,10 +89,11 @@ def _rms(vectors: np.ndarray) -> float:
     return float(np.sqrt((vectors**2).sum(axis=1).mean()))
 
 
-NOTES = """Noise 0.25 mm and 0.1 deg an axis; the protocol `joints` (all joints move within their ranges and are
-read exactly); every origin on the chain moved by 3 mm and 0.5 deg; all of them free, base and mount unknown. Held out
-is the last quarter of the poses. `nominal` is the error of the perturbed URDF with base and mount fitted; the ratios are
-those of the calibrated chain's error an axis to the noise, 1 at best and 1.2 aimed at; the worst of the seeds."""
+NOTES = """Noise 0.25 mm and 0.1 deg an axis; the protocol `joints` (all joints move within their ranges and are read
+exactly); every origin on the chain moved by 3 mm and 0.5 deg; all of them free, base and mount unknown. Held
+out is the last quarter of the poses. `nominal` is the error of the perturbed URDF with base and mount fitted;
+the ratios are those of the calibrated chain's error an axis to the noise, 1 at best and 1.2 aimed at; the
+worst of the seeds."""
 
 
 def table(rows: list[Row], command: str, seconds: float) -> str:
