@@ -15,7 +15,9 @@ from typing import Annotated, Any
 import typer
 
 import carm_kin
+from carm_kin import cli_files
 from carm_kin.cli_arguments import above_zero, joint_names, options, writable
+from carm_kin.cli_reading import How, reads_recordings
 from carm_kin.errors import CarmKinError, InputError, RefusedError
 from carm_kin.terminal import Stderr, to_stdout, use_any_encoding
 
@@ -25,6 +27,7 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode="rich",
 )
+cli_files.register(app)
 
 Urdf = Annotated[str, typer.Argument(help="A URDF file or the name of a bundled machine.")]
 AsJson = Annotated[str | None, typer.Option("--json", help="Write the result here; - for stdout.")]
@@ -153,8 +156,10 @@ def simulate(
 
 
 @app.command(epilog="Example: carm-kin calibrate rec.csv --solver kinematic --json result.json")
+@reads_recordings
 def calibrate(
-    recording: Annotated[Path, typer.Argument(help="The recording.")],
+    recording: Annotated[Path, typer.Argument(help="The recording: a file, a folder or a session.")],
+    how: How,
     solver: Annotated[str | None, typer.Option(help="closed_form, decomposed, direct, kinematic, surface.")] = None,
     locus: Annotated[str, typer.Option(help="What the pivot moves on: circle (a C-arm) or point.")] = "circle",
     urdf: Annotated[str | None, typer.Option(help="Take the joint names from this URDF.")] = None,
@@ -177,7 +182,7 @@ def calibrate(
 
     if as_json not in (None, "-"):
         writable(Path(as_json))
-    poses = carm_kin.read_recording(recording)
+    poses = how.read(recording)
     joints = joint_names(poses, urdf, sensor_link, angular, orbital)
     settings: dict[str, Any] = {
         "locus": locus,
@@ -199,9 +204,11 @@ def calibrate(
 
 
 @app.command(epilog="Example: carm-kin check result.json new.csv --tolerance-mm 1 --tolerance-deg 0.5")
+@reads_recordings
 def check(
     result: Annotated[Path, typer.Argument(help="The saved calibration, as calibrate --json writes it.")],
     recording: Annotated[Path, typer.Argument(help="A new recording with motion about both axes.")],
+    how: How,
     tolerance_mm: Annotated[float, typer.Option(help="Change of a length that is accepted.")] = 1.0,
     tolerance_deg: Annotated[float, typer.Option(help="Change of an angle that is accepted.")] = 0.5,
     angular: Angular = None,
@@ -218,7 +225,7 @@ def check(
     if as_json not in (None, "-"):
         writable(Path(as_json))
     saved = carm_kin.CalibrationResult.from_json(result)
-    poses = carm_kin.read_recording(recording)
+    poses = how.read(recording)
     joints = joint_names(poses, None, None, angular, orbital)
     found = apply(
         saved,

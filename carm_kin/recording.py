@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from carm_kin.errors import InputError
+from carm_kin.intake import Intake
 from carm_kin.recording_checks import (
     LABEL_TOLERANCE_M,
     LABEL_TOLERANCE_RAD,
@@ -101,6 +102,10 @@ class Recording:
     pose_number: np.ndarray = field(default_factory=lambda: np.arange(0))
     """(N,) number of each pose in the file, from 0, missing frames counted; default 0..N-1."""
     source: Source | None = None
+    intakes: tuple[Intake, ...] = ()
+    """What became of the frames of its file or files."""
+    notes: tuple[Note, ...] = ()
+    """What its reader found odd."""
 
     def __post_init__(self) -> None:
         n = len(self.p_world_sensor)
@@ -178,7 +183,7 @@ class Recording:
     @property
     def warnings(self) -> tuple[Note, ...]:
         """What is allowed but looks like a mistake."""
-        return tuple(warnings_of(self))
+        return (*self.notes, *warnings_of(self))
 
     @cached_property
     def _first(self) -> np.ndarray:

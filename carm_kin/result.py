@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from carm_kin.errors import InputError
+from carm_kin.intake import Intake
 from carm_kin.result_checks import contradiction
 from carm_kin.result_json import (
     name_in_file,
@@ -162,6 +163,8 @@ class Provenance:
     command: str | None
     seed: int | None
     date: str
+    intakes: tuple[Intake, ...] = ()
+    """How the input was read, and what was dropped."""
 
 
 @dataclass(frozen=True, eq=False)

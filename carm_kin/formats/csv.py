@@ -16,7 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
+from carm_kin.declarations import Declarations
 from carm_kin.errors import InputError
+from carm_kin.formats._foreign import head_lines
 from carm_kin.formats._table import (
     Lines,
     check_present,
@@ -27,10 +29,13 @@ from carm_kin.formats._table import (
     read_lines,
     rotations,
 )
+from carm_kin.intake import Dropped, Intake
 from carm_kin.recording import PoseError, Recording, Source
 from solvers.se3 import Array, quat_wxyz_from_rotation
 
+SUMMARY = "the native CSV: x_mm, y_mm, z_mm, qw, qx, qy, qz, sweeps, labels"
 EXTENSIONS = (".csv",)
+HOLDS = ("time_s", "sweep", "moving", "placement", "joints", "metadata")
 MAX_BYTES = 2 * 10**9
 """Larger files are refused."""
 
@@ -73,9 +78,15 @@ class _Columns:
         return [name for name in self.names if name not in (*self.numeric, *_TEXT)]
 
 
-def read(path: str | os.PathLike) -> Recording:
+def matches(path: Path, head: bytes) -> bool:
+    """A header with a position that tells its unit."""
+    lines = head_lines(head, 1)
+    names = {cell.strip(' "') for cell in lines[0].split(",")} if lines else set()
+    return {"x_mm", "y_mm", "z_mm"} <= names or {"x_m", "y_m", "z_m"} <= names
+
+
+def read(path: Path, declared: Declarations) -> Recording:
     """The recording in a file. Raises InputError, with line and column, where the file is not sound."""
-    path = Path(path)
     data = read_bytes(path, MAX_BYTES)
     header, lines = read_lines(path, data, "a header line such as x_mm,y_mm,z_mm,qw,qx,qy,qz").split(1)
     columns = _columns(header, [name.strip() for name in header.cells()[0]])
@@ -107,6 +118,7 @@ def read(path: str | os.PathLike) -> Recording:
             missing=len(has_pose) - len(rows),
             pose_number=rows,
             source=Source(str(path), hashlib.sha256(data).hexdigest()),
+            intakes=(_intake(len(has_pose), len(rows)),),
         )
     except PoseError as error:
         names = {f"q_{joint}": name for joint, (name, _) in columns.joints.items()}
@@ -140,6 +152,10 @@ def write(recording: Recording, path: str | os.PathLike) -> None:
         raise InputError(f"cannot be written: {error}", file=path) from None
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _intake(frames: int, kept: int) -> Intake:
+    return Intake("csv", "", "", (), frames, kept, (Dropped("without a pose", frames - kept),))
 
 
 def _columns(header: Lines, names: list[str]) -> _Columns:
