@@ -349,3 +349,38 @@ def test_declarations_reach_the_command(tmp_path, capsys):
 def test_an_unknown_option_value_of_a_declaration_names_the_option():
     with pytest.raises(InputError, match="--quaternion 'wzyx' is unknown; it is one of wxyz, xyzw"):
         Declarations(quaternion="wzyx")
+
+
+@pytest.mark.parametrize(
+    "kind", ["VersorRigid3D", "Euler3D", "Euler3D ZYX", "Translation", "MatrixOffsetTransformBase"]
+)
+def test_the_rigid_transforms_of_itk(kind, tmp_path):
+    """Their parameters as ITK's guide defines them: versor or angles, then the translation; the centre is fixed."""
+    R, t, center = ROTATION[7], np.array([1.0, -2.0, 3.0]), np.array([10.0, 20.0, -30.0])
+    fixed = list(center)
+    if kind == "Translation":
+        R, name, parameters = R.identity(), "TranslationTransform", []
+    elif kind == "VersorRigid3D":
+        name, parameters = "VersorRigid3DTransform", list(R.as_quat(canonical=True)[:3])
+    elif kind.startswith("Euler3D"):
+        order = "ZYX" if kind.endswith("ZYX") else "ZXY"
+        angles = dict(zip(order, R.as_euler(order), strict=True))
+        name, parameters = "Euler3DTransform", [angles[axis] for axis in "XYZ"]
+        fixed.append(float(order == "ZYX"))
+    else:
+        name, parameters = kind, list(R.as_matrix().ravel())
+    lines = ["#Insight Transform File V1.0", f"Transform: {name}_double_3_3"]
+    lines += ["Parameters: " + " ".join(map(str, [*parameters, *t])), "FixedParameters: " + " ".join(map(str, fixed))]
+    (tmp_path / "one.tfm").write_text("\n".join(lines))
+    recording = read_recording(tmp_path / "one.tfm")
+    to_ras, points = np.diag([-1, -1, 1]), np.random.default_rng(0).normal(size=(5, 3))
+    in_child = R.apply(points - center) + t + center
+    assert recording.R_world_sensor is not None
+    back = (to_ras @ in_child.T).T @ recording.R_world_sensor[0].T + recording.p_world_sensor[0] * 1e3
+    assert np.allclose(back, (to_ras @ points.T).T, rtol=0, atol=1e-9)
+
+
+def test_other_transforms_of_itk_are_refused_by_name(tmp_path):
+    (tmp_path / "one.tfm").write_text("#Insight Transform File V1.0\nTransform: BSplineTransform_double_3_3\n")
+    with pytest.raises(InputError, match=r"one\.tfm, line 2: 'BSplineTransform_double_3_3' is no rigid transform"):
+        read_recording(tmp_path / "one.tfm")

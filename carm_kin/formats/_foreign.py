@@ -91,7 +91,7 @@ def read_cells(lines: Lines, names: Sequence[str], numeric: Sequence[str], text:
 def floats(lines: Lines, name: str, start: int, cells: Sequence[str]) -> Array:
     """(N,) numbers, NaN where there is none, of the cells of a column from row ``start`` on."""
     try:
-        if not any("_" in cell for cell in cells):
+        if "_" not in "".join(cells):
             return np.fromiter(map(float, cells), float, len(cells))
     except ValueError:
         pass

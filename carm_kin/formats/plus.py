@@ -8,6 +8,7 @@ import hashlib
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,10 +26,14 @@ HOLDS = ("time_s",)
 
 MAX_BYTES = 2 * 10**9
 """A longer header is refused."""
+MATRIX = 16
+"""Numbers of a transform."""
 TOOL = "Sensor"
 """What the tool is called in files written here."""
 
 _CHUNK = 1 << 24
+_ENDS = 1 << 16
+"""Bytes at the beginning and at the end of the header where the sizes stand."""
 _FIELD = re.compile(rb"^Seq_Frame(\d{1,9})_(\w+)[ \t]*:?=[ \t]*([^\r\n]*)", re.MULTILINE)
 _OTHER = re.compile(rb"^(DimSize|Kinds|sizes|kinds)[ \t]*[:=]+[ \t]*([^\r\n]*)", re.MULTILINE)
 _META_IMAGE = re.compile(rb"^(\xef\xbb\xbf)?(ObjectType|NDims)[ \t]*=", re.MULTILINE)
@@ -36,8 +41,14 @@ _END = {True: re.compile(rb"\r?\n\r?\n"), False: re.compile(rb"^ElementDataFile[
 """Of the header of an NRRD file, and of a MetaImage."""
 _NAME = re.compile(r"(?P<tool>.+)To(?P<parent>[A-Z].*)")
 
-_Field = list[tuple[int, bytes, int]]
-"""Frame number, value and place in the header, of every frame that has the field."""
+
+@dataclass(frozen=True)
+class _Field:
+    """The values of a field in every frame that has it."""
+
+    name: str
+    frames: list[int]
+    values: list[bytes]
 
 
 def matches(path: Path, head: bytes) -> bool:
@@ -48,23 +59,22 @@ def matches(path: Path, head: bytes) -> bool:
 def read(path: Path, declared: Declarations) -> Raw:
     """The transforms of every frame. Raises InputError with the line where a matrix is none."""
     header, whole = _header(path)
-    fields: dict[str, _Field] = defaultdict(list)
-    for match in _FIELD.finditer(header):
-        fields[match[2].decode()].append((int(match[1]), match[3], match.start()))
-    frames = np.unique([frame for field in fields.values() for frame, _, _ in field])
-    names = [name for name, field in fields.items() if _is_transform(name, field)]
+    fields = _fields(header)
+    frames = np.unique([frame for field in fields.values() for frame in field.frames])
+    names = [name for name, field in fields.items() if _is_transform(field)]
     if not names:
         raise InputError("holds no tracked transform (Seq_Frame0000_...Transform); it is an image alone", file=path)
     tracks = {}
     for name, (tool, parent) in _tools(names).items():
         status = fields.get(f"{name}Status") or fields.get("Status")
-        tracks[tool] = _track(path, header, whole, frames, fields[name], status, parent)
+        field = fields[name] if whole else _without_cut_off(fields[name], header)
+        tracks[tool] = _track(path, header, frames, field, status, parent)
     announced = _announced(header)
     return Raw(
         tracks,
         Source(str(path), hashlib.sha256(header).hexdigest()),
         "mm",
-        time_s=_times(path, header, frames, fields["Timestamp"]) if "Timestamp" in fields else None,
+        time_s=_spread(path, header, frames, fields["Timestamp"], 1)[:, 0] if "Timestamp" in fields else None,
         cut_off=max(0, announced - len(frames)),
     )
 
@@ -107,8 +117,27 @@ def _header(path: Path) -> tuple[bytes, bool]:
     return bytes(data[: found.end()] if found else data), found is not None
 
 
-def _is_transform(name: str, field: _Field) -> bool:
-    return name.endswith("Transform") or (not name.endswith("Status") and len(field[0][1].split()) == 16)
+def _fields(header: bytes) -> dict[str, _Field]:
+    """The fields of frames by their names."""
+    found: dict[bytes, tuple[list[int], list[bytes]]] = defaultdict(lambda: ([], []))
+    for frame, name, value in _FIELD.findall(header):
+        frames, values = found[name]
+        frames.append(int(frame))
+        values.append(value)
+    return {name.decode(): _Field(name.decode(), frames, values) for name, (frames, values) in found.items()}
+
+
+def _is_transform(field: _Field) -> bool:
+    return field.name.endswith("Transform") or (
+        not field.name.endswith("Status") and len(field.values[0].split()) == MATRIX
+    )
+
+
+def _without_cut_off(field: _Field, header: bytes) -> _Field:
+    """Without a last matrix at whose middle the file ends."""
+    if len(field.values[-1].split()) >= MATRIX or not header.rstrip().endswith(field.values[-1].rstrip()):
+        return field
+    return replace(field, frames=field.frames[:-1], values=field.values[:-1])
 
 
 def _tools(names: list[str]) -> Mapping[str, tuple[str, str]]:
@@ -125,58 +154,51 @@ def _tools(names: list[str]) -> Mapping[str, tuple[str, str]]:
     return {n: (tool if tools.count(tool) == 1 else short, parent) for n, (tool, parent, short) in parts.items()}
 
 
-def _track(
-    path: Path, header: bytes, whole: bool, frames: np.ndarray, field: _Field, status: _Field | None, parent: str
-) -> Track:
-    last = field[-1]
-    if not whole and len(last[1].split()) < 16 and last[2] + len(last[1]) + 100 > len(header):
-        field = field[:-1]
+def _track(path: Path, header: bytes, frames: np.ndarray, field: _Field, status: _Field | None, parent: str) -> Track:
     words = np.full(len(frames), "", object)
-    for frame, value, _ in status or ():
-        words[np.searchsorted(frames, frame)] = value.strip().decode("ascii", "replace").upper()
-    row = np.searchsorted(frames, [frame for frame, _, _ in field])
-    T = np.full((len(frames), 16), np.nan)
-    T[row] = _matrices(path, header, field)
-    T = T.reshape(-1, 4, 4)
+    if status:
+        said = {value: value.strip().decode("ascii", "replace").upper() for value in set(status.values)}
+        words[np.searchsorted(frames, status.frames)] = [said[value] for value in status.values]
+    T = _spread(path, header, frames, field, MATRIX).reshape(-1, 4, 4)
     without = np.ones(len(frames), dtype=bool)
-    without[row] = False
+    without[np.searchsorted(frames, field.frames)] = False
     words[without & np.isin(words, ("", "OK"))] = "without a transform"
     return Track(T[:, :3, 3], T[:, :3, :3], words, parent)
 
 
-def _matrices(path: Path, header: bytes, field: _Field) -> Array:
-    """(M, 16) numbers of a field."""
-    values = b" ".join(value for _, value, _ in field).split()
-    if len(values) == 16 * len(field):
+def _spread(path: Path, header: bytes, frames: np.ndarray, field: _Field, count: int) -> Array:
+    """(N, count) numbers of a field, NaN where a frame has none. Raises InputError with the line of others."""
+    spread = np.full((len(frames), count), np.nan)
+    words = b" ".join(field.values).split()
+    if len(words) == count * len(field.values):
         try:
-            return np.fromiter(map(float, values), float, len(values)).reshape(-1, 16)
+            numbers = np.fromiter(map(float, words), float, len(words))
         except ValueError:
             pass
-    return np.array([_numbers(path, header, value, at, 16) for _, value, at in field]).reshape(-1, 16)
+        else:
+            spread[np.searchsorted(frames, field.frames)] = numbers.reshape(-1, count)
+            return spread
+    for frame, value in zip(field.frames, field.values, strict=True):
+        spread[np.searchsorted(frames, frame)] = _numbers(path, header, field.name, frame, value, count)
+    return spread
 
 
-def _numbers(path: Path, header: bytes, value: bytes, at: int, count: int) -> list[float]:
+def _numbers(path: Path, header: bytes, name: str, frame: int, value: bytes, count: int) -> list[float]:
     try:
         numbers = [float(word) for word in value.split()]
     except ValueError:
         numbers = []
     if len(numbers) != count:
+        at = re.search(rb"^Seq_Frame0*%d_%s\b" % (frame, name.encode()), header, re.MULTILINE)
+        line = header.count(b"\n", 0, at.start()) + 1 if at else None
         shown = value[:40].decode("ascii", "replace")
-        raise InputError(f"'{shown}' is not {count} numbers", file=path, line=header.count(b"\n", 0, at) + 1)
+        raise InputError(f"'{shown}' is not {count} numbers", file=path, line=line)
     return numbers
-
-
-def _times(path: Path, header: bytes, frames: np.ndarray, field: _Field) -> Array:
-    """(N,), NaN where a frame has none."""
-    time = np.full(len(frames), np.nan)
-    for frame, value, at in field:
-        time[np.searchsorted(frames, frame)] = _numbers(path, header, value, at, 1)[0]
-    return time
 
 
 def _announced(header: bytes) -> int:
     """How many frames the header says that there are; 0 where it does not."""
-    other = {match[1].lower(): match[2].split() for match in _OTHER.finditer(header)}
+    other = {match[1].lower(): match[2].split() for match in _OTHER.finditer(header[:_ENDS] + b"\n" + header[-_ENDS:])}
     sizes = other.get(b"dimsize") or other.get(b"sizes") or []
     kinds = other.get(b"kinds") or []
     listed = kinds.index(b"list") if b"list" in kinds else len(sizes)
