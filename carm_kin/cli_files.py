@@ -18,6 +18,10 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the program."""
     app.command(epilog="Example: carm-kin formats")(formats)
     app.command(epilog="Example: carm-kin convert capture.igs.mha -o rec.csv --tool Stylus")(convert)
+    session = typer.Typer(help="Sessions: sweeps in several files, with their labels.", no_args_is_help=False)
+    session.callback()(lambda: None)
+    session.command(epilog="Example: carm-kin session init monday")(init)
+    app.add_typer(session, name="session")
 
 
 def formats() -> None:
@@ -52,6 +56,14 @@ def convert(
     if lost := [part for part in _held(poses) if part not in format.holds]:
         console.print(f"warning: the format '{format.name}' does not hold {', '.join(lost)}", soft_wrap=True)
     console.print(f"{len(poses)} poses written to {out}", soft_wrap=True)
+
+
+def init(folder: Annotated[Path, typer.Argument(help="The folder of the tracker's files.")]) -> None:
+    """Write a first session.toml from the files found."""
+    from carm_kin.session_init import init as write
+
+    path, sweeps = write(folder)
+    Stderr().print(f"{sweeps} sweeps written to {path}; fill in their labels", soft_wrap=True)
 
 
 def _held(recording: Recording) -> list[str]:
