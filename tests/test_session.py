@@ -102,7 +102,7 @@ BROKEN = {
     "unknown key": (HEAD + "tol = 1\n" + TWO, r"line 3: 'tol' is unknown; it may be tracker, tool,"),
     "unknown key of a sweep": (
         HEAD + TWO + "heldd = 1\n",
-        r"line 15: sweep 2: 'heldd' is unknown; it may be file, from_s",
+        r"line 16: sweep 2: 'heldd' is unknown; it may be file, from_s",
     ),
     "unknown key of the defaults": ("[defaults]\nlable = 'a'\n" + TWO, r"line 2: defaults: 'lable' is unknown"),
     "wrong type": (HEAD + TWO.replace('"angular"', "3"), r"line 12: sweep 2: 'moving' must be a text, not 3"),
@@ -179,9 +179,8 @@ def test_a_simulated_recording_calibrates_alike_through_a_session(tmp_path, caps
     for k, sweep in enumerate(given.sweeps):
         part = Recording(given.p_world_sensor[sweep.poses], given.R_world_sensor[sweep.poses])
         write_recording(part, tmp_path / f"{k}.igs.mha")
-        held = ", ".join(
-            f"{joint} = {np.degrees(q)!r}" for joint, q in sweep.held.items() if joint in ("angular", "orbital")
-        )
+        axes = {joint: float(np.degrees(q)) for joint, q in sweep.held.items() if joint in ("angular", "orbital")}
+        held = ", ".join(f"{joint} = {angle!r}" for joint, angle in axes.items())
         lines += ["[[sweep]]", f'file = "{k}.igs.mha"', f'moving = "{sweep.moving}"', f"held_deg = {{ {held} }}"]
     (tmp_path / "session.toml").write_text("\n".join(lines))
     one, two = carm_kin.calibrate(given), carm_kin.calibrate(read_recording(tmp_path))
