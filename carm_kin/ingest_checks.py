@@ -1,10 +1,11 @@
 """What in a recording contradicts what was declared of its file."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from carm_kin.declarations import UNITS_M, Declarations
+from carm_kin.intake import Intake
 from carm_kin.raw import Raw
 from carm_kin.recording import Recording
 from solvers.estimate import Note
@@ -35,6 +36,32 @@ def notes_of(recording: Recording, raw: Raw, declared: Declarations) -> Iterator
         yield from _implausible_unit(recording.p_world_sensor, recording.R_world_sensor, unit)
     if recording.time_s is not None:
         yield from _gaps(recording, recording.time_s)
+
+
+def contradicted(intakes: Iterable[Intake], causes: Iterable[Note]) -> Iterator[Note]:
+    """What the causes of a misfit, found by calibrating, say of how the files were read."""
+    stated = dict.fromkeys(option for one in intakes for option in one.stated)
+    for code in {cause.code: None for cause in causes}:
+        otherwise = _otherwise(code, list(stated))
+        if otherwise and any(one.format != "csv" or one.stated for one in intakes):
+            message = (
+                f"the poses contradict how the file was read ({' '.join(stated) or 'without options'}): {otherwise}"
+            )
+            yield Note("contradicts_declaration", message)
+
+
+def _otherwise(code: str, stated: list[str]) -> str:
+    """How to read it otherwise; "" where no option does."""
+    if code == "quaternion_order" and any(option.startswith("--quaternion") for option in stated):
+        return f"read it with --quaternion {'xyzw' if '--quaternion wxyz' in stated else 'wxyz'}"
+    if code == "inverted_poses":
+        return "read it without --invert" if "--invert" in stated else "read it with --invert"
+    if code == "left_handed_frame":
+        return "read it with " + ("--right-handed" if "--left-handed" in stated else "--left-handed")
+    if code == "transposed_rotation":
+        euler = any(option.startswith("--euler") for option in stated)
+        return "read it with another order of --euler" if euler else ""
+    return ""
 
 
 def _implausible_unit(p: Array, R: Array, unit: str) -> Iterator[Note]:

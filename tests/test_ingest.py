@@ -278,6 +278,36 @@ def test_a_native_file_takes_only_what_it_may_lack(tmp_path):
             carm_kin.read_recording(tmp_path / "rec.csv", declared=Declarations(**{option: value}))
 
 
+CONTRADICTIONS = {
+    "inverted in the file": (np.linalg.inv, {}, "inverted_poses", "read it with --invert"),
+    "inverted by the user": (lambda T: T, {"invert": True}, "inverted_poses", "read it without --invert"),
+    "order": (lambda T: T, {"quaternion": "xyzw"}, "quaternion_order", "--quaternion wxyz"),
+}
+
+
+@pytest.mark.parametrize("case", CONTRADICTIONS)
+def test_poses_that_contradict_a_declaration_name_the_option(case):
+    change, declared, cause, words = CONTRADICTIONS[case]
+    poses, _ = simulate("mobile_nonisocentric", "minimal", sigma_t_m=5e-4, sigma_r_rad=1e-3, seed=1)
+    T = np.tile(np.eye(4), (len(poses), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = poses.R_world_sensor, poses.p_world_sensor
+    T = change(T)
+    quat_wxyz = Rotation.from_matrix(T[:, :3, :3]).as_quat(scalar_first=True)
+    file = Raw({"marker": Track(T[:, :3, 3], quat_wxyz)}, HERE, "m", "wxyz")
+    recording = ingest(file, Declarations(**declared), "x")
+    labelled = Recording(
+        recording.p_world_sensor,
+        recording.R_world_sensor,
+        sweep=poses.sweep[recording.pose_number],
+        moving=poses.moving[recording.pose_number],
+        joints={joint: values[recording.pose_number] for joint, values in poses.joints.items()},
+        intakes=recording.intakes,
+    )
+    notes = {note.code: note.message for note in carm_kin.calibrate(labelled).warnings}
+    assert cause in notes
+    assert words in notes["contradicts_declaration"]
+
+
 def test_the_result_tells_what_was_dropped(tmp_path):
     poses, _ = simulate("mobile_nonisocentric", "minimal", sigma_t_m=5e-4, sigma_r_rad=1e-3, seed=1)
     status = np.full(len(poses), "OK", object)
