@@ -10,7 +10,7 @@ from carm_kin.cli_reading import How, reads_recordings
 from carm_kin.recording import Recording
 from carm_kin.terminal import Stderr
 
-_PARTS = ("time_s", "sweep", "moving", "placement", "joints", "metadata")
+_PARTS = ("time_s", "sweep", "moving", "placement", "joints", "metadata", "variance")
 """Of a recording, beyond the poses."""
 
 

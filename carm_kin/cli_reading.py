@@ -21,12 +21,18 @@ class How:
 
     format: str | None
     declared: Declarations
+    stations: bool
 
     def read(self, path: Path) -> Recording:
         """The recording in a file, a folder or a session."""
         from carm_kin.formats import read_recording
 
-        return read_recording(path, self.format, self.declared)
+        recording = read_recording(path, self.format, self.declared)
+        if not self.stations:
+            return recording
+        from carm_kin.stations import at_stations
+
+        return at_stations(recording)
 
 
 def _option(*names: str, help: str) -> Any:
@@ -44,9 +50,10 @@ def _options(
     left_handed: Annotated[
         bool | None, _option("--left-handed/--right-handed", help="Handedness of the file's frames.")
     ] = None,
+    stations: Annotated[bool, _option("--stations", help="Average the frames of every stop of the C.")] = False,
 ) -> How:
     """The options of a reader. Raises InputError for one that is unknown."""
-    return How(format, Declarations(tool, reference, invert, unit, quaternion, euler, left_handed))
+    return How(format, Declarations(tool, reference, invert, unit, quaternion, euler, left_handed), stations)
 
 
 def reads_recordings(command: Callable[..., Any]) -> Callable[..., Any]:

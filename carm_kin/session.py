@@ -46,6 +46,8 @@ class Tracker:
     quaternion: str | None = None
     euler: str | None = None
     left_handed: bool | None = None
+    stations: bool = False
+    """Average the frames of every stop of the C."""
 
     @property
     def declared(self) -> Declarations:

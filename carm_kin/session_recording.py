@@ -11,6 +11,7 @@ from carm_kin.errors import InputError
 from carm_kin.intake import Dropped, summed
 from carm_kin.recording import Recording, Source
 from carm_kin.session import Session, files, poses_of, read_session
+from carm_kin.stations import at_stations
 from solvers.estimate import Note
 from solvers.se3 import Array
 
@@ -46,7 +47,8 @@ def read(path: Path) -> Recording:
     notes += _misspelt(session)
     recording = _joined(session, [parts[k] for k in range(len(session.sweeps))])
     missing = sum(drop.count for one in intakes for drop in one.dropped)
-    return replace(recording, missing=missing, intakes=summed(intakes), notes=tuple(notes))
+    whole = replace(recording, missing=missing, intakes=summed(intakes), notes=tuple(notes))
+    return at_stations(whole) if session.tracker.stations else whole
 
 
 def _misspelt(session: Session) -> Iterator[Note]:

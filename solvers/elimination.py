@@ -184,6 +184,8 @@ def columns_of(placements: int) -> np.ndarray:
 def weighted(line: Linearisation, model: AngleModel, sigma: tuple[float, ...]) -> tuple[Array, Array]:
     """B (rows, 16, n) and A (rows, 2, n), scaled by the noise; A is zero where an angle is not free."""
     scale = np.repeat(1 / np.asarray(sigma), 3)[:, None]
+    if model.scale is not None:
+        scale = scale / np.repeat(model.scale[: len(sigma)], 3, axis=0)
     n = line.residual.shape[1]
     B = np.empty((len(scale), WIDTH, n))
     np.multiply(line.by_local, scale[:, None], out=B[:, :LOCAL])
