@@ -2,17 +2,19 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import trackers
 from command import fails, run
-from trackers import MAKERS, ROTATION, TIME, N, P, written
+from trackers import FREE, MAKERS, ROTATION, TIME, N, P, written
 
 import carm_kin
+from carm_kin import ingest, session_recording, stations
 from carm_kin.declarations import Declarations
 from carm_kin.errors import InputError
-from carm_kin.formats import format_of, formats, read_recording, write_recording
+from carm_kin.formats import format_of, formats, read_recording, ros, write_recording
 from carm_kin.recording import Recording
 
 every = pytest.mark.parametrize("kind", MAKERS)
@@ -58,7 +60,7 @@ def assert_poses(recording: Recording, frames=slice(None)) -> None:
 
 
 def test_every_format_has_a_sample():
-    others = {"ros"}
+    others = {"ros", "session"}
     assert {make().format for make in MAKERS.values()} | others == formats().keys()
 
 
@@ -384,3 +386,35 @@ def test_other_transforms_of_itk_are_refused_by_name(tmp_path):
     (tmp_path / "one.tfm").write_text("#Insight Transform File V1.0\nTransform: BSplineTransform_double_3_3\n")
     with pytest.raises(InputError, match=r"one\.tfm, line 2: 'BSplineTransform_double_3_3' is no rigid transform"):
         read_recording(tmp_path / "one.tfm")
+
+
+PAGES = Path(__file__).parents[1] / "docs" / "formats"
+OPTIONS = {"hololens": Declarations(left_handed=True), "table": Declarations(tool="a", unit="mm")}
+
+
+def excerpts(page: str) -> list[str]:
+    """The blocks of a page that are in no language: what a file looks like."""
+    blocks = page.split("```")[1::2]
+    return [block.removeprefix("\n") for block in blocks if block.startswith("\n")]
+
+
+@pytest.mark.parametrize("name", [name for name in formats() if name not in ("csv", "session")])
+def test_every_format_has_a_page_and_what_it_shows_is_read(name, tmp_path):
+    page = (PAGES / f"{name}.md").read_text(encoding="utf-8")
+    assert "carm-kin calibrate " in page
+    assert f"[{name}]({name}.md)" in (PAGES / "README.md").read_text(encoding="utf-8")
+    assert excerpts(page) or name in ("ros", "npz", "mat")
+    for k, text in enumerate(excerpts(page)):
+        path = tmp_path / f"{k}.dat"
+        path.write_text(text)
+        found = format_of(path)
+        assert found is not None
+        assert found.name == name
+        declared = OPTIONS.get(name, FREE) if "Tx" in text or name == "table" else FREE
+        assert len(read_recording(path, declared=declared)) >= 1
+
+
+def test_every_reason_is_in_the_documentation():
+    text = (PAGES / "README.md").read_text(encoding="utf-8")
+    reasons = (ingest.REPEATED, ingest.CUT_OFF, stations.IN_MOTION, session_recording.OUTSIDE, ros.GAP)
+    assert [reason for reason in reasons if f"`{reason}`" not in text] == []
