@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from carm_kin import result as r
+from carm_kin.ingest_checks import contradicted
 from carm_kin.recording import Recording, to_problem
 from solvers.assess import Assessment
 from solvers.estimate import Covariance, Estimate, Note
@@ -49,7 +50,13 @@ def result_of(
         observability=r.Observability(
             values, float(values[0] / max(values[-1], 1e-300)) if values.size else None, assessment.unobservable
         ),
-        warnings=(*recording.warnings, *estimate.notes, *assessment.notes, *_notes(estimate, ok)),
+        warnings=(
+            *recording.warnings,
+            *estimate.notes,
+            *assessment.notes,
+            *contradicted(recording.intakes, assessment.notes),
+            *_notes(estimate, ok),
+        ),
         refusal=assessment.refusal,
         provenance=provenance,
         angles_rad=assessment.angles,

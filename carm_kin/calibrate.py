@@ -15,6 +15,7 @@ from carm_kin.options import options_of
 from carm_kin.provenance import provenance_of
 from carm_kin.recording import Recording, to_problem
 from carm_kin.repeated import REASON, repeated
+from carm_kin.stations import refitted
 from solvers.assess import Limits, assess
 from solvers.estimate import Note
 from solvers.problem import Problem
@@ -94,6 +95,9 @@ def _calibrated(
         return refused_result(recording, name, asdict(options), refusal, provenance)
     try:
         estimate = module.solve(problem, options)
+        if recording.variance is not None and name == "kinematic":
+            problem = refitted(problem, estimate, recording.variance)
+            estimate = module.solve(problem, options)
     except np.linalg.LinAlgError:
         refusal = Note("unobservable", "the poses determine no machine: the equations are singular")
         return refused_result(recording, name, asdict(options), refusal, provenance)

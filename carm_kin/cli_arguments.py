@@ -4,11 +4,20 @@ import inspect as introspection
 import json
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import typer
 
 from carm_kin.calibrate import calibrate
 from carm_kin.errors import InputError
 from carm_kin.recording import Recording
+
+Urdf = Annotated[str, typer.Argument(help="A URDF file or the name of a bundled machine.")]
+AsJson = Annotated[str | None, typer.Option("--json", help="Write the result here; - for stdout.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
+Angular = Annotated[str | None, typer.Option(help="Name of the angular joint.")]
+Orbital = Annotated[str | None, typer.Option(help="Name of the orbital joint.")]
+SensorLink = Annotated[str | None, typer.Option(help="Link that carries the sensor.")]
 
 
 def writable(path: Path) -> Path:

@@ -27,6 +27,7 @@ def provenance_of(recording: Recording | None, command: str | None, seed: int | 
         command=command,
         seed=seed,
         date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        intakes=recording.intakes if recording else (),
     )
 
 

@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from carm_kin.errors import InputError
+from carm_kin.intake import Intake
 from carm_kin.recording_checks import (
     LABEL_TOLERANCE_M,
     LABEL_TOLERANCE_RAD,
@@ -38,7 +39,7 @@ __all__ = [
     "to_problem",
 ]
 
-_PER_POSE = ("p_world_sensor", "R_world_sensor", *OPTIONAL_COLUMNS, "pose_number")
+_PER_POSE = ("p_world_sensor", "R_world_sensor", *OPTIONAL_COLUMNS, "pose_number", "variance")
 _ONE_A_SWEEP = {
     "moving": "one joint moves in a sweep; leave 'moving' empty in the whole sweep where several do",
     "placement": "a sweep has one base placement; give the sweeps of another placement labels of their own",
@@ -101,6 +102,13 @@ class Recording:
     pose_number: np.ndarray = field(default_factory=lambda: np.arange(0))
     """(N,) number of each pose in the file, from 0, missing frames counted; default 0..N-1."""
     source: Source | None = None
+    variance: Array | None = None
+    """(N, 2) of a pose that is a mean of frames: the variance of the mean an axis, m² and rad², as the frames show it;
+    None where poses are single frames."""
+    intakes: tuple[Intake, ...] = ()
+    """What became of the frames of its file or files."""
+    notes: tuple[Note, ...] = ()
+    """What its reader found odd."""
 
     def __post_init__(self) -> None:
         n = len(self.p_world_sensor)
@@ -114,6 +122,8 @@ class Recording:
             checked["R_world_sensor"] = rotations(self.R_world_sensor, n)
         if self.time_s is not None:
             checked["time_s"] = numeric("time_s", self.time_s, (n,))
+        if self.variance is not None:
+            checked["variance"] = numeric("variance", self.variance, (n, 2))
         for name in ("sweep", "moving", "placement"):
             if getattr(self, name) is not None:
                 checked[name] = text(name, getattr(self, name), n)
@@ -186,7 +196,7 @@ class Recording:
     @property
     def warnings(self) -> tuple[Note, ...]:
         """What is allowed but looks like a mistake."""
-        return tuple(warnings_of(self))
+        return (*self.notes, *warnings_of(self))
 
     @cached_property
     def _first(self) -> np.ndarray:

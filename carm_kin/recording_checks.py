@@ -119,7 +119,9 @@ def warnings_of(recording: "Recording") -> Iterable[Note]:
     """What is allowed but looks like a mistake."""
     n, missing = len(recording), recording.missing
     if missing:
-        yield Note("missing_frames", f"{missing} of {n + missing} frames have no pose and were left out")
+        why = "; ".join(filter(None, (intake.in_words() for intake in recording.intakes)))
+        message = f"{missing} of {n + missing} frames were left out"
+        yield Note("missing_frames", f"{message}: {why}" if why else message)
     if same := np.count_nonzero(repeated(recording.p_world_sensor, recording.R_world_sensor)):
         yield Note("duplicated_poses", f"{same} of {n} poses are identical to the pose before them")
     if recording.time_s is not None and np.any(back := np.diff(recording.time_s) <= 0):

@@ -10,6 +10,7 @@ from typing import Any
 from carm_kin.chain_result import ChainCalibration
 from carm_kin.errors import InputError
 from carm_kin.held_out import CrossValidation
+from carm_kin.intake import Intake
 from carm_kin.result_checks import contradiction
 from carm_kin.result_json import (
     name_in_file,
@@ -129,6 +130,8 @@ class Provenance:
     command: str | None
     seed: int | None
     date: str
+    intakes: tuple[Intake, ...] = ()
+    """How the input was read, and what was dropped."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from rich.console import Console
 from carm_kin.chain_result import ChainCalibration
 from carm_kin.check_result import Angle, Check, Length
 from carm_kin.held_out import HeldOut
+from carm_kin.intake import Intake
 from carm_kin.result import CalibrationResult
 from carm_kin.virtual_centre_result import VirtualCentre
 from solvers.estimate import Note
@@ -19,6 +20,7 @@ def show(result: CalibrationResult, console: Console) -> None:
     verdict = f"solver {result.solver}, {result.used} of {result.poses} poses"
     console.print(f"{result.status}: ", style="bold green" if result.status == "ok" else "bold red", end="")
     console.print(verdict)
+    show_intakes(result.provenance.intakes, console)
     show_numbers(result, console)
     for line in _quality(result):
         console.print(f"  {line}", soft_wrap=True)
@@ -71,6 +73,20 @@ def show_centre(found: VirtualCentre, console: Console) -> None:
     for line in lines:
         console.print(f"  {line}", soft_wrap=True)
     _show_warnings(found.warnings, console)
+
+
+def show_intakes(intakes: tuple[Intake, ...], console: Console) -> None:
+    """Print how many frames were read, kept, and dropped for which reason; nothing of a sound native file."""
+    for one in intakes:
+        if one.kept == one.frames and one.format == "csv":
+            continue
+        what = ", ".join(filter(None, (one.format, one.tool, one.reference and f"in {one.reference}")))
+        rows = {"kept": one.kept, **{drop.reason: drop.count for drop in one.dropped}}
+        rows |= {"rotations projected": one.projected} if one.projected else {}
+        rows |= {"stations": one.stations} if one.stations else {}
+        console.print(f"  {'frames':<{_NAME_WIDTH}}{one.frames:>10} ({what})", soft_wrap=True)
+        for name, count in rows.items():
+            console.print(f"    {name:<{_NAME_WIDTH - 2}}{count:>10}", soft_wrap=True)
 
 
 def _show_warnings(warnings: tuple[Note, ...], console: Console) -> None:

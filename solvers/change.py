@@ -60,7 +60,8 @@ def rows_of(line: Linearisation, angles: Array, problem: Problem, sigma: tuple[f
     """
     model = AngleModel.of(problem.without_labels())
     B, A = weighted(line, model, sigma)
-    B = np.concatenate([B[:, :LOCAL], *([_flex(angles, sigma)] if flex else []), B[:, RESIDUAL:]], axis=1)
+    waves = [_flex(angles, sigma) if model.scale is None else _flex(angles, sigma) / model.scale.repeat(3, 0)[:, None]]
+    B = np.concatenate([B[:, :LOCAL], *(waves if flex else []), B[:, RESIDUAL:]], axis=1)
     C = [(A[:, j, None] * B).sum(axis=0) for j in (0, 1)]
     g, h, k = inverse_blocks(blocks_of(A), model)
     B -= A[:, 0, None] * (g * C[0] + h * C[1]) + A[:, 1, None] * (h * C[0] + k * C[1])

@@ -172,7 +172,10 @@ def first_sigma(problem: Problem, torus: Torus, angles: Array, used: np.ndarray 
     """A first guess of both noises from the residuals of at most about a thousand of the ``used`` poses."""
     some = np.arange(len(problem)) if used is None else np.flatnonzero(used)
     some = some[:: max(1, len(some) // COARSE)]
-    residual = linearise(torus, angles[:, some], problem.select(some)).residual
+    part = problem.select(some)
+    residual = linearise(torus, angles[:, some], part).residual
+    if part.scale is not None:
+        residual = residual / np.repeat(part.scale, 3, axis=0)
     return _given_or(problem, np.sqrt((residual.reshape(2, -1) ** 2).mean(axis=1)))
 
 

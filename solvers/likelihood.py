@@ -41,6 +41,8 @@ class AngleModel:
     """(2, N) reading of a moving joint, rad; 0 where there is none."""
     precision: Array
     """(2, N) 1 / variance of the reading; 0 where there is none."""
+    scale: Array | None
+    """(2, N) `Problem.scale`."""
 
     @staticmethod
     def of(problem: Problem) -> "AngleModel":
@@ -64,6 +66,7 @@ class AngleModel:
             sweep_placement=problem.placement[member][first],
             reading=np.where(reading, problem.label, 0.0).T,
             precision=reading.T / problem.sigma_reading**2,
+            scale=problem.scale,
         )
 
     def select(self, poses: slice) -> "AngleModel":
@@ -75,6 +78,7 @@ class AngleModel:
             sweep_joint=self.sweep_joint[poses],
             reading=self.reading[:, poses],
             precision=self.precision[:, poses],
+            scale=None if self.scale is None else self.scale[:, poses],
         )
 
     def start(self, torus: Torus, problem: Problem, trusted: np.ndarray | None = None) -> Array:

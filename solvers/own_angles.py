@@ -10,6 +10,8 @@ from solvers.se3 import Array
 def weighted(line: Linearisation, model: AngleModel, sigma: tuple[float, ...]) -> tuple[Array, Array]:
     """B (rows, 16, n) and A (rows, 2, n), scaled by the noise; A is zero where an angle is not free."""
     scale = np.repeat(1 / np.asarray(sigma), 3)[:, None]
+    if model.scale is not None:
+        scale = scale / np.repeat(model.scale[: len(sigma)], 3, axis=0)
     n = line.residual.shape[1]
     B = np.empty((len(scale), WIDTH, n))
     np.multiply(line.by_local, scale[:, None], out=B[:, :LOCAL])

@@ -33,6 +33,9 @@ class Problem:
     """Position noise an axis, m; None: estimated from the data."""
     sigma_r: float | None = None
     """Orientation noise an axis, rad; None: estimated from the data."""
+    scale: Array | None = None
+    """(2, N) noise of each position and orientation over `sigma_t` and `sigma_r`, which are then root mean squares;
+    None: 1. `kinematic` heeds it."""
 
     @staticmethod
     def of_poses(p_world_sensor: Array, R_world_sensor: Array | None) -> "Problem":
@@ -88,6 +91,7 @@ class Problem:
             placement=self.placement[poses],
             held=self.held[poses],
             label=self.label[poses],
+            scale=None if self.scale is None else self.scale[:, poses],
         )
 
     def apart(self, poses: np.ndarray) -> "Problem":

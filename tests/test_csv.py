@@ -184,7 +184,7 @@ def test_a_bad_row_far_below_is_found(tmp_path, row, place):
 def test_what_is_no_file_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"none\.csv: no such file"):
         read_recording(tmp_path / "none.csv")
-    with pytest.raises(InputError, match="is not a file"):
+    with pytest.raises(InputError, match="the folder holds no file"):
         read_recording(tmp_path, format="csv")
 
 
@@ -340,8 +340,9 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
 
 def test_a_new_format_is_one_new_module(tmp_path, monkeypatch):
     (tmp_path / "fake.py").write_text(
-        "from carm_kin.recording import Recording\nEXTENSIONS = ('.fake.csv', '.fk')\n"
-        "def read(path):\n    return Recording([[1.0, 2.0, 3.0]])\n"
+        "from carm_kin.recording import Recording\nSUMMARY = 'fake'\nEXTENSIONS = ('.fake.csv', '.fk')\n"
+        "def matches(path, head):\n    return head == b'fake'\n"
+        "def read(path, declared):\n    return Recording([[1.0, 2.0, 3.0]])\n"
     )
     (tmp_path / "helper.py").write_text("")
     monkeypatch.setattr(formats, "__path__", [*formats.__path__, str(tmp_path)])
@@ -350,8 +351,14 @@ def test_a_new_format_is_one_new_module(tmp_path, monkeypatch):
         monkeypatch.delitem(sys.modules, f"carm_kin.formats.{module}")
     assert {"csv", "fake"} <= formats.formats().keys()
     assert "helper" not in formats.formats()
-    for path, format in (("a.FK", None), ("a.fake.csv", None), ("a.csv", "fake")):
-        assert read_recording(path, format).p_world_sensor.tolist() == [[1, 2, 3]]
+    for name, content, format in (
+        ("a.FK", "", None),
+        ("a.fake.csv", "", None),
+        ("a.b", "fake", None),
+        ("c", "", "fake"),
+    ):
+        (tmp_path / name).write_text(content)
+        assert read_recording(tmp_path / name, format).p_world_sensor.tolist() == [[1, 2, 3]]
     with pytest.raises(InputError, match="no format 'fake' here; choose from csv"):
         write_recording(Recording(np.zeros((1, 3))), tmp_path / "a.fk", format="fake")
 
@@ -379,7 +386,8 @@ def test_tables_with_another_delimiter_have_the_same_places(tmp_path):
 def test_an_unknown_format_is_refused_with_the_valid_names(tmp_path):
     with pytest.raises(InputError, match=r"no format 'cvs' here; choose from .*csv"):
         read_recording(tmp_path / "rec.csv", format="cvs")
-    with pytest.raises(InputError, match=r"rec\.dat: the extension does not tell the format; choose from .*csv"):
+    (tmp_path / "rec.dat").write_text("nothing")
+    with pytest.raises(InputError, match=r"rec\.dat: the extension does not tell the format; choose from csv"):
         read_recording(tmp_path / "rec.dat")
 
 

@@ -18,6 +18,8 @@ QUATERNION_TOLERANCE = 1e-3
 
 _DELIMITERS = {",": "','", ";": "';'", "\t": "a tab", "|": "'|'", " ": "a space"}
 """How they are called in messages."""
+_SHOWN = 200
+"""Characters of a header that a message repeats."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,8 +79,9 @@ def read_bytes(path: Path, most: int) -> bytes:
         raise InputError(f"cannot be read: {error.strerror}", file=path) from None
 
 
-def read_lines(path: Path, data: bytes, needed: str, delimiter: str = ",") -> Lines:
-    """The lines of a file, whose bytes are UTF-8; `needed` tells what an empty one lacks."""
+def read_lines(path: Path, data: bytes, needed: str, delimiter: str = ",", comment: str = "#") -> Lines:
+    """The lines of a file, whose bytes are UTF-8; `needed` tells what an empty one lacks. Lines that begin with
+    `comment` are left out; "": none are."""
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -87,8 +90,11 @@ def read_lines(path: Path, data: bytes, needed: str, delimiter: str = ",") -> Li
         cell = len(data[start : error.start + 1].split(None if delimiter == " " else delimiter.encode()))
         problem = f"byte 0x{data[error.start]:02x} is not UTF-8; save the file as UTF-8"
         raise InputError(problem, file=path, line=line, column=str(cell)) from None
+    if (at := text.find("\0")) >= 0:
+        line = text.count("\n", 0, at) + 1
+        raise InputError("a NUL character; this is no text file, or a damaged one", file=path, line=line)
     every = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    number = [i for i, line in enumerate(every, 1) if line.lstrip()[:1] not in "#"]
+    number = [i for i, line in enumerate(every, 1) if line.lstrip()[:1] not in comment]
     if not number:
         raise InputError(f"the file is empty; {needed} is needed", file=path)
     return Lines(path, [every[i - 1] for i in number], number, delimiter)
@@ -116,7 +122,9 @@ def check_present(header: Lines, names: Sequence[str], needed: Sequence[str], ad
         raise header.error("the first line holds numbers; a header line with the names of the columns is needed")
     close = difflib.get_close_matches(absent[0], [name for name in names if name not in needed], 1)
     meant = f" (is it '{close[0]}'?)" if close else ""
-    problem = f"missing {', '.join(absent)}{meant}; the file has {', '.join(names)}; {advice}"
+    has = ", ".join(names)
+    has = has if len(has) <= _SHOWN else f"{has[:_SHOWN]}..."
+    problem = f"missing {', '.join(absent)}{meant}; the file has {has}; {advice}"
     raise header.error(problem, column=absent[0])
 
 

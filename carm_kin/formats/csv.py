@@ -2,7 +2,8 @@
 
 Positions are read from ``x_mm,y_mm,z_mm`` or ``x_m,y_m,z_m``, orientations from the unit quaternion
 ``qw,qx,qy,qz``, joint values from ``q_<joint>_deg`` or ``_rad`` and ``q_<joint>_mm`` or ``_m``. The text
-columns are ``sweep``, ``moving`` and ``placement``; ``time_s`` is in seconds; every other column is metadata.
+columns are ``sweep``, ``moving`` and ``placement``; ``time_s`` is in seconds; ``sigma_t_mm,sigma_r_deg`` are the
+standard deviations of a pose that is a mean of frames; every other column is metadata.
 """
 
 import csv
@@ -16,7 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
+from carm_kin.declarations import Declarations
 from carm_kin.errors import InputError
+from carm_kin.formats._foreign import head_lines
 from carm_kin.formats._table import (
     Lines,
     check_present,
@@ -27,10 +30,13 @@ from carm_kin.formats._table import (
     read_lines,
     rotations,
 )
+from carm_kin.intake import Dropped, Intake
 from carm_kin.recording import PoseError, Recording, Source
 from solvers.se3 import Array, quat_wxyz_from_rotation
 
+SUMMARY = "the native CSV: x_mm, y_mm, z_mm, qw, qx, qy, qz, sweeps, labels"
 EXTENSIONS = (".csv",)
+HOLDS = ("time_s", "sweep", "moving", "placement", "joints", "metadata", "variance")
 MAX_BYTES = 2 * 10**9
 """Larger files are refused."""
 
@@ -38,7 +44,8 @@ _CHUNK = 2000
 """Lines that are split at a time."""
 _QUATERNION = ("qw", "qx", "qy", "qz")
 _TEXT = ("sweep", "moving", "placement")
-_RESERVED = {*_QUATERNION, *_TEXT, "time_s", *(f"{axis}_{unit}" for axis in "xyz" for unit in ("mm", "m"))}
+_SIGMAS = ("sigma_t_mm", "sigma_r_deg")
+_RESERVED = {*_QUATERNION, *_TEXT, *_SIGMAS, "time_s", *(f"{axis}_{unit}" for axis in "xyz" for unit in ("mm", "m"))}
 _JOINT = re.compile(r"q_(?P<joint>.+)_(?P<unit>deg|rad|mm|m)")
 _ADVICE = "needed are x_mm, y_mm, z_mm (or x_m, y_m, z_m) and, for orientations, qw, qx, qy, qz"
 
@@ -49,6 +56,8 @@ _UNITS: dict[str, tuple[Callable[[Array], Array], Callable[[Array], Array]]] = {
     "rad": (np.array, np.array),
 }
 """Conversions to m or rad and back."""
+_VARIANCE = np.array([1e-6, np.radians(1.0) ** 2])
+"""From the squares of `_SIGMAS` to m² and rad²."""
 
 
 @dataclass(frozen=True)
@@ -66,16 +75,22 @@ class _Columns:
     @property
     def numeric(self) -> list[str]:
         joints = [column for column, _ in self.joints.values()]
-        return [*self.position, *self.quaternion, *joints, *(["time_s"] if "time_s" in self.names else [])]
+        return [*self.position, *self.quaternion, *joints, *(n for n in ("time_s", *_SIGMAS) if n in self.names)]
 
     @property
     def metadata(self) -> list[str]:
         return [name for name in self.names if name not in (*self.numeric, *_TEXT)]
 
 
-def read(path: str | os.PathLike) -> Recording:
+def matches(path: Path, head: bytes) -> bool:
+    """A header with a position that tells its unit."""
+    lines = head_lines(head, 1)
+    names = {cell.strip(' "') for cell in lines[0].split(",")} if lines else set()
+    return {"x_mm", "y_mm", "z_mm"} <= names or {"x_m", "y_m", "z_m"} <= names
+
+
+def read(path: Path, declared: Declarations) -> Recording:
     """The recording in a file. Raises InputError, with line and column, where the file is not sound."""
-    path = Path(path)
     data = read_bytes(path, MAX_BYTES)
     header, lines = read_lines(path, data, "a header line such as x_mm,y_mm,z_mm,qw,qx,qy,qz").split(1)
     columns = _columns(header, [name.strip() for name in header.cells()[0]])
@@ -98,6 +113,7 @@ def read(path: str | os.PathLike) -> Recording:
             _UNITS[columns.unit][0](stack(columns.position)),
             rotations(lines, rows, stack(columns.quaternion), "qw") if columns.quaternion else None,
             time_s=numbers.get("time_s"),
+            variance=stack(list(_SIGMAS)) ** 2 * _VARIANCE if _SIGMAS[0] in numbers else None,
             sweep=labels.get("sweep"),
             moving=labels.get("moving"),
             placement=labels.get("placement"),
@@ -107,6 +123,7 @@ def read(path: str | os.PathLike) -> Recording:
             missing=len(has_pose) - len(rows),
             pose_number=rows,
             source=Source(str(path), hashlib.sha256(data).hexdigest()),
+            intakes=(_intake(len(has_pose), len(rows)),),
         )
     except PoseError as error:
         names = {f"q_{joint}": name for joint, (name, _) in columns.joints.items()}
@@ -142,12 +159,18 @@ def write(recording: Recording, path: str | os.PathLike) -> None:
         temporary.unlink(missing_ok=True)
 
 
+def _intake(frames: int, kept: int) -> Intake:
+    return Intake("csv", "", "", (), frames, kept, (Dropped("without a pose", frames - kept),))
+
+
 def _columns(header: Lines, names: list[str]) -> _Columns:
     position, unit = _position(header, names)
     check_unique(header, names)
     quaternion = [name for name in _QUATERNION if name in names]
     if quaternion:
         check_present(header, names, _QUATERNION, _ADVICE)
+    if set(_SIGMAS) & set(names):
+        check_present(header, names, _SIGMAS, f"{' and '.join(_SIGMAS)} belong together")
     return _Columns(names, position, unit, quaternion, _joints(header, names))
 
 
@@ -191,6 +214,8 @@ def _as_text(recording: Recording, path: Path) -> Mapping[str, Sequence[str]]:
         numbers |= dict(zip(_QUATERNION, quat_wxyz.T, strict=True))
     if recording.time_s is not None:
         numbers["time_s"] = recording.time_s
+    if recording.variance is not None:
+        numbers |= dict(zip(_SIGMAS, np.sqrt(recording.variance / _VARIANCE).T, strict=True))
     for joint, values in recording.joints.items():
         shown, unit = _exact(values, *(("mm", "m") if joint in recording.prismatic else ("deg", "rad")))
         numbers[f"q_{joint}_{unit}"] = shown
