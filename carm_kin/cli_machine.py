@@ -51,7 +51,9 @@ def inspect(
 def simulate(
     urdf: Urdf,
     out: Annotated[Path, typer.Option("--out", "-o", help="The recording; its truth goes to NAME.truth.json.")],
-    protocol: Annotated[str, typer.Option(help="paper, clinical, minimal, free, joints or a .toml file.")] = "clinical",
+    protocol: Annotated[
+        str, typer.Option(help="paper, clinical, minimal, free, joints, virtual or a .toml file.")
+    ] = "clinical",
     sigma_t_mm: Annotated[float, typer.Option(min=0, help="Position noise, one sigma an axis.")] = 0.0,
     sigma_r_deg: Annotated[float, typer.Option(min=0, help="Orientation noise, one sigma an axis.")] = 0.0,
     outliers: Annotated[float, typer.Option(help="Share of gross outliers, 0 to 1.")] = 0.0,

@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from carm_kin.chain import Chain, NominalGeometry, nominal_geometry
-from carm_kin.protocols import Motion, motions
+from carm_kin.protocols import VIRTUAL, Motion, motions
+from carm_kin.urdf import UrdfFile
+from carm_kin.virtual import virtual_motions
 from solvers.estimate import Note
 from solvers.se3 import Array
 
@@ -29,12 +31,15 @@ class Plan:
         return np.concatenate([motion.q for motion in self.motions])
 
 
-def plan_of(chain: Chain, protocol: str | Path, rng: np.random.Generator) -> Plan:
-    """The plan of a protocol. Raises InputError as `carm_kin.protocols.motions` does, and for parallel axes.
+def plan_of(urdf: UrdfFile, chain: Chain, protocol: str | Path, rng: np.random.Generator) -> Plan:
+    """The plan of a protocol. Raises InputError as `motions` and `virtual_motions` do, and for parallel axes.
 
     The joints other than the two axes give a base placement for each of their positions, since the torus stands
     elsewhere there. Where they move from pose to pose, the one geometry is that with all of them at zero.
     """
+    if str(protocol) == VIRTUAL:
+        parts, geometry = virtual_motions(urdf, chain)
+        return Plan(parts, [geometry], np.zeros(sum(len(motion.q) for motion in parts), dtype=int), ())
     parts, notes = motions(chain, protocol, rng)
     stations, placement = _stations(chain, np.concatenate([motion.q for motion in parts]))
     if any(_others(chain, motion.q).any() for motion in parts):

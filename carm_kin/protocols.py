@@ -19,6 +19,8 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
+VIRTUAL = "virtual"
+"""The protocol of `carm_kin.virtual`, which needs more than the chain."""
 FREE_POSES = 1000
 MAX_POSES = 1_000_000
 """More poses than this in one protocol are taken for a mistake."""
@@ -74,7 +76,7 @@ def motions(chain: Chain, protocol: str | Path, rng: np.random.Generator) -> tup
     elif str(protocol).endswith(".toml"):
         plan = _from_file(chain, Path(protocol))
     else:
-        names = ", ".join(NAMED)
+        names = ", ".join([*NAMED, VIRTUAL])
         raise InputError(f"protocol '{protocol}' is unknown; it is one of {names}, or a .toml file")
     return plan, _beyond_limits(chain, plan)
 

@@ -41,8 +41,8 @@ def simulate(
 ) -> tuple[Recording, CalibrationResult]:
     """A recording of the C-arm in ``urdf`` (a path or a bundled name) and its truth.
 
-    ``protocol`` is paper, clinical, minimal, free, joints or a TOML file. ``T_world_torus`` (4, 4), m, is drawn
-    from the seed unless given. ``T_sensor_mount`` (4, 4) turns and moves the sensor in its link. Without
+    ``protocol`` is paper, clinical, minimal, free, joints, virtual or a TOML file. ``T_world_torus`` (4, 4), m,
+    is drawn from the seed unless given. ``T_sensor_mount`` (4, 4) turns and moves the sensor in its link. Without
     ``labels`` the recording tells nothing of the joints. The truth is a result of the solver ``truth``,
     whose outliers are the poses that were replaced. Raises InputError for bad input.
     """
@@ -54,7 +54,7 @@ def simulate(
     rng = np.random.default_rng(seed)
     file = urdf if isinstance(urdf, UrdfFile) else read_urdf(urdf)
     chain = chain_of(file, sensor_link, angular, orbital)
-    plan = plan_of(chain, protocol, rng)
+    plan = plan_of(file, chain, protocol, rng)
     if T_world_torus is None:
         T_world_torus = transform(rotation_from_quat_wxyz(rng.normal(size=4)), rng.uniform(-WORLD_M, WORLD_M, 3))
     mount = np.eye(4) if T_sensor_mount is None else T_sensor_mount
