@@ -95,13 +95,14 @@ def fit(
 ) -> tuple[ChainEstimate, ChainEstimate] | Note:
     """The nominal machine with its base and mounts fitted, and the calibrated one; or why there is none."""
     start = start_of(problem, model.machine, [model.axes(s) for s in range(len(model.chains))])
-    if start is None:
-        words = "the poses do not turn about two axes, or nothing links the placements and sensors to each other"
-        return Note("unobservable", words)
+    if isinstance(start, Note):
+        return start
+    moving = ~problem.still
     try:
-        nominal = solve_chain(problem, start.machine, start.values, free_of(model, NOTHING), options)
-        begin = nominal if nominal.converged else start
-        return nominal, solve_chain(problem, begin.machine, begin.values, free, options)
+        nominal = solve_chain(problem, start.machine, start.values, free_of(model, NOTHING), options, start.agrees)
+        begin = nominal.machine if nominal.converged else start.machine
+        values = np.where(problem.read, problem.label, start.values)
+        return nominal, solve_chain(problem, begin, values, free.only(moving), options, start.agrees)
     except np.linalg.LinAlgError:
         return Note("unobservable", "the poses determine no machine: the equations are singular")
 

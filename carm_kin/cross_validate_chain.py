@@ -11,8 +11,8 @@ from carm_kin.errors import RefusedError
 from carm_kin.held_out import CrossValidation, Errors, HeldOut, overall_of, row_of
 from carm_kin.recording import Recording
 from solvers.chain import ChainEstimate, Options, residuals
-from solvers.chain_equations import normal_equations
-from solvers.chain_problem import ORIENTATIONS, ChainProblem, Layout
+from solvers.chain_problem import ORIENTATIONS, POSITIONS, ChainProblem
+from solvers.chain_values import fit_values
 from solvers.estimate import Note
 
 STEPS = 6
@@ -59,23 +59,13 @@ def _sweeps(recording: Recording) -> np.ndarray:
 
 def _predicted(problem: ChainProblem, estimate: ChainEstimate, values: np.ndarray) -> Errors:
     """Errors of the poses, their unknown joint values fitted to them from ``values`` (N, J)."""
-    machine, nothing_rejected = estimate.machine, np.ones(len(problem), dtype=bool)
-    layout = Layout.of(problem, len(machine.axes), len(machine.T_world_base), len(machine.T_last_sensor))
-    step = np.zeros(layout.size)
-    own = layout.constant(0) + np.arange(layout.constants)
-    for _ in range(STEPS):
-        at = normal_equations(machine, values, problem, layout, estimate.sigma, nothing_rejected)
-        if own.size:
-            step[own] = -np.linalg.lstsq(at.H[np.ix_(own, own)], at.g[own], rcond=1e-12)[0]
-        constants = np.where(problem.constant >= 0, step[own][problem.constant] if own.size else 0.0, 0.0)
-        values = values + at.value_step(step, values.shape) + constants
-    at = normal_equations(machine, values, problem, layout, estimate.sigma, nothing_rejected)
-    left = residuals(machine, values, problem)
-    poses = slice(0, ORIENTATIONS + 1)
+    values, at = fit_values(problem, estimate.machine, values, estimate.sigma, STEPS)
+    left = residuals(estimate.machine, values, problem)
+    poses = slice(POSITIONS, ORIENTATIONS + 1)
     return Errors(
         len(problem),
         float((left[:, :3] ** 2).sum()),
         float((left[:, 3:] ** 2).sum()),
         float(at.squares[poses].sum()),
-        float(at.counts[poses].sum()) - len(own),
+        float(at.counts[poses].sum()) - problem.constants,
     )
