@@ -77,6 +77,8 @@ class ChainEstimate:
     """What was set free and stays at its nominal value, since the poses do not tell it from others."""
     residual: Array
     """(N, 6) observed less predicted, all values at their best: position (m) and rotation vector (rad)."""
+    distance2: Array
+    """(N,) squares of the pose's residual and of its readings' errors over the noise, its own values at their best."""
     sigma: Array
     """(KINDS,) noise of positions (m), orientations (rad), readings of angles (rad) and of lengths (m)."""
     chi2_per_dof: float
@@ -198,6 +200,7 @@ def _estimate(
         by_prior=nominal.precision * np.diagonal(C),
         dependent=choice.dependent,
         residual=residuals(state.machine, values, problem),
+        distance2=state.at.distance2,
         sigma=state.at.sigma,
         chi2_per_dof=state.at.cost / max(float(redundancy(state.at, C).sum()), 1.0),
         used=state.used,

@@ -278,9 +278,9 @@ def _counts(block: _Block, inverse: Array, weight: Array) -> Array:
 def _exchanged(block: _Block, inverse: Array, U: Array) -> dict[tuple[int, int], Array]:
     """(C, C) for each two kinds a < b: sum of VaT inv(G) Vb, with Va = AaT Ua."""
     kinds = [int(kind) for kind in np.unique(block.kind)]
-    C, found = U.shape[-1] - 1, {}
     V = {a: np.swapaxes(block.A[:, block.kind == a], 1, 2) @ U[:, block.kind == a, :-1] for a in kinds}
+    found = {}
     for a in kinds[:-1]:
-        W = (inverse @ V[a]).reshape(-1, C)
-        found |= {(a, b): W.T @ V[b].reshape(-1, C) for b in kinds if b > a}
+        W = inverse @ V[a]
+        found |= {(a, b): np.tensordot(W, V[b], axes=((0, 1), (0, 1))) for b in kinds if b > a}
     return found

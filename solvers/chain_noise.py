@@ -10,6 +10,8 @@ from solvers.se3 import Array
 
 FIRST_READING = (2e-3, 1e-4)
 """Noise of the readings to begin with, rad and m."""
+UNTOLD = 1e-6
+"""Entry of Helmert's matrix below which a noise is too small beside the others to be told: about a hundredth."""
 MEDIAN_CHI2_3 = float(chdtri(3, 0.5))
 
 
@@ -21,10 +23,11 @@ def first_sigma(problem: ChainProblem, residual: Array) -> Array:
 
 
 def next_sigma(problem: ChainProblem, at: Reduced, step: Array, C: Array) -> Array:
-    """All noises (KINDS,) by Helmert's equations after a step (D,), those of kinds without data left as they are.
-    C (D, D) is the covariance of the unknowns. No variance falls below `LEAST_CHANGE` of the one before in one step."""
+    """All noises (KINDS,) by Helmert's equations after a step (D,), those of which the data tell nothing left as they
+    are. C (D, D) is the covariance of the unknowns. No variance falls below `LEAST_CHANGE` of the one before in one
+    step."""
     squares, A = at.squares_after(step), helmert(at, C)
-    given = np.array([s is not None for s in problem.sigma]) | (np.diagonal(at.counts) <= 0)
+    given = np.array([s is not None for s in problem.sigma]) | (np.diagonal(A) < UNTOLD)
     ratio = np.where(given, 1.0, LEAST_CHANGE)
     fixed = given
     while not fixed.all():

@@ -20,7 +20,7 @@ class Nominal:
 
     @staticmethod
     def of(machine: Machine, layout: Layout, sigma_t: float | None, sigma_r: float | None) -> "Nominal":
-        """Positions known to ``sigma_t`` (m), directions and zeros of turning joints to ``sigma_r`` (rad); None: not."""
+        """Positions known to ``sigma_t`` (m), directions and zeros of turning joints to ``sigma_r`` (rad), if any."""
         of_length, of_angle = (0.0 if sigma is None else sigma**-2 for sigma in (sigma_t, sigma_r))
         precision = np.zeros(layout.size)
         for j, slides in enumerate(machine.prismatic):

@@ -34,21 +34,26 @@ def robot_world(
 ) -> RobotWorld | Note:
     """From T_world_sensor (N, 4, 4) and T_base_last (N, 4, 4) of so many base placements and sensors; a refusal where
     they turn about one axis only, or a base or a mount is linked to no other."""
-    agrees, found = np.ones(len(T), dtype=bool), None
+    found: RobotWorld | Note = RobotWorld(np.eye(4)[None], np.eye(4)[None], np.ones(len(T), dtype=bool))
     for _ in range(ROUNDS):
-        rotations = _rotations(T[agrees], F[agrees], placement[agrees], sensor[agrees], placements, sensors)
-        if isinstance(rotations, Note):
-            return rotations
-        X, Y = rotations
-        X, Y = _with_translations(X, Y, T[agrees], F[agrees], placement[agrees], sensor[agrees])
-        off = inverse(X[placement] @ F @ Y[sensor]) @ T
-        good = near_median(np.linalg.norm(off[:, :3, 3], axis=1))
-        good &= near_median(np.linalg.norm(log_so3(off[:, :3, :3]), axis=1))
-        found = RobotWorld(X, Y, good)
-        if (good == agrees).all():
+        believed = found.agrees
+        found = _fitted(T, F, placement, sensor, (placements, sensors), believed)
+        if isinstance(found, Note) or (found.agrees == believed).all():
             break
-        agrees = good
     return found
+
+
+def _fitted(
+    T: Array, F: Array, placement: np.ndarray, sensor: np.ndarray, counts: tuple[int, int], believed: np.ndarray
+) -> RobotWorld | Note:
+    """From the ``believed`` (N,) poses alone, and which of all agree with that."""
+    rotations = _rotations(T[believed], F[believed], placement[believed], sensor[believed], *counts)
+    if isinstance(rotations, Note):
+        return rotations
+    X, Y = _with_translations(*rotations, T[believed], F[believed], placement[believed], sensor[believed])
+    off = inverse(X[placement] @ F @ Y[sensor]) @ T
+    agrees = near_median(np.linalg.norm(off[:, :3, 3], axis=1))
+    return RobotWorld(X, Y, agrees & near_median(np.linalg.norm(log_so3(off[:, :3, :3]), axis=1)))
 
 
 def _rotations(

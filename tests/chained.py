@@ -4,6 +4,7 @@ The kinematics is read from the URDF's text by ElementTree; every rotation comes
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -26,7 +27,8 @@ C_ARM = """<?xml version="1.0"?>
   </joint>
   <link name="swivel"/>
   <joint name="orbital" type="revolute"><parent link="swivel"/><child link="c"/>
-    <origin xyz="0.8 0.02 0.1" rpy="0.01 0 0.005"/><axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/>
+    <origin xyz="0.8 0.02 0.1" rpy="0.01 0 0.005"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/>
   </joint>
   <link name="c"/>
   <joint name="sensor_mount" type="fixed"><parent link="c"/><child link="sensor"/>
@@ -106,7 +108,7 @@ def kinematics(text: str, link: str, q: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def perturbed(text: str, shift_m: float, turn_rad: float, seed: int = 0, joints: Sequence[str] | None = None) -> str:
-    """The URDF with the origins of all ``joints`` (default: of all) moved and turned by so much in random directions."""
+    """The URDF with the origins of the ``joints`` (default: all) moved and turned by so much in random directions."""
     rng, root = np.random.default_rng([seed, 21]), ElementTree.fromstring(text)
     for joint in root.iter("joint"):
         v, w = rng.normal(size=(2, 3))
@@ -143,6 +145,60 @@ def random_values(names: Sequence[str], n: int, seed: int, half_range: float = 1
     """Joint name -> (N,) values."""
     drawn = np.random.default_rng([seed, 24]).uniform(-half_range, half_range, (n, len(names)))
     return dict(zip(names, drawn.T, strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Swept:
+    """Joint values of sweeps."""
+
+    q: dict[str, np.ndarray]
+    """Joint name -> (N,)."""
+    sweep: np.ndarray
+    """(N,) str."""
+    moving: np.ndarray
+    """(N,) str."""
+
+    def told(self, held: Sequence[str] = (), moving: Sequence[str] = ()) -> dict[str, np.ndarray]:
+        """What a recording says: the values of the joints ``held`` where they are, of ``moving`` where they move."""
+        known = {}
+        for name, values in self.q.items():
+            moves = self.moving == name
+            seen = (moves & (name in moving)) | (~moves & (name in held))
+            if name in held or name in moving:
+                known[name] = np.where(seen, values, np.nan)
+        return known
+
+
+def swept(*sweeps: tuple[str, np.ndarray, Mapping[str, float]]) -> Swept:
+    """From sweeps (moving joint, its path (M,), the values of the others, else 0)."""
+    names = list(dict.fromkeys(name for moving, _, held in sweeps for name in (moving, *held)))
+    parts: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    for moving, path, held in sweeps:
+        for name in names:
+            parts[name].append(path if name == moving else np.full(len(path), held.get(name, 0.0)))
+    sizes = [len(path) for _, path, _ in sweeps]
+    labels = np.repeat([f"s{k}" for k in range(len(sweeps))], sizes)
+    return Swept(
+        {name: np.concatenate(values) for name, values in parts.items()},
+        labels,
+        np.repeat([moving for moving, _, _ in sweeps], sizes),
+    )
+
+
+def c_arm_sweeps(step_deg: float = 5.0, lifts: Sequence[float] = (0.0,)) -> Swept:
+    """Three orbital and two angular sweeps at each lift; where there are several lifts, two sweeps of the lift too."""
+    path = np.radians(np.arange(-60, 60 + step_deg, step_deg))
+    sweeps = [
+        (moving, path, {other: np.radians(value), "lift": lift})
+        for lift in lifts
+        for moving, other, values in (("orbital", "angular", (-60, 0, 50)), ("angular", "orbital", (-20, 40)))
+        for value in values
+    ]
+    if len(lifts) > 1:
+        sweeps += [
+            ("lift", np.linspace(0, 0.3, 13), {"angular": a, "orbital": b}) for a, b in ((0.3, 0.2), (-0.5, -0.4))
+        ]
+    return swept(*sweeps)
 
 
 def recorded(T: np.ndarray, **more) -> Recording:
