@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from carm_kin import result as r
-from carm_kin.chain_assembly import SOLVER, Blank, result_of_chain
+from carm_kin.chain import chain_of
+from carm_kin.chain_assembly import SOLVER, Blank, Recorded, result_of_chain
 from carm_kin.chain_model import ChainModel, chain_model
-from carm_kin.chain_problem import gather, sensor_links_of
+from carm_kin.chain_problem import gather, sensor_links_of, sensor_numbers
 from carm_kin.errors import InputError
 from carm_kin.options import options_of
-from carm_kin.provenance import provenance_of
 from carm_kin.recording import Recording
+from carm_kin.repeated import repeated
 from carm_kin.urdf import UrdfFile, listing, read_urdf
 from solvers.chain import ChainEstimate, Free, Options, solve_chain
 from solvers.chain_problem import ChainProblem
@@ -65,61 +66,91 @@ def calibrate_chain(
 
     Raises InputError for bad names, options and recordings without orientations.
     """
-    parts = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    parts = (recordings,) if isinstance(recordings, Recording) else tuple(recordings)
     if not parts:
         raise InputError("no recording is given")
     file = urdf if isinstance(urdf, UrdfFile) else read_urdf(urdf)
-    model = chain_model(file, sensor_links_of(parts, sensor_link), angular, orbital)
-    chosen = options_of(Options, SOLVER, options)
+    model = _model(parts, file, sensor_link, angular, orbital)
+    chosen, unknown = options_of(Options, SOLVER, options), free_of(model, free)
     sigma = (sigma_t_m, sigma_r_rad, sigma_reading_rad, sigma_reading_m)
     _check_noise(sigma)
-    gathered = gather(parts, model, sigma)
-    blank = Blank(parts, asdict(chosen) | asdict(free), provenance_of(parts[0], command, None))
+    recorded = Recorded(parts, tuple(_repeated(part, model) for part in parts))
+    gathered = gather(recorded.kept, model, sigma)
+    blank = Blank(recorded, asdict(chosen) | asdict(free), command)
     if len(gathered.problem) < limits.min_poses:
         words = f"{len(gathered.problem)} poses; at least {limits.min_poses} are needed"
         return blank.refused(Note("too_few_poses", words), gathered.notes)
-    found = fit(gathered.problem, model, free_of(model, free), chosen)
-    if isinstance(found, Note):
-        return blank.refused(found, gathered.notes)
-    result = result_of_chain(model, gathered, *found, blank, limits)
+    estimate = fit(gathered.problem, model, unknown, chosen)
+    if isinstance(estimate, Note):
+        return blank.refused(estimate, gathered.notes)
+    nominal = nominal_fit(gathered.problem, model, estimate)
+    result = result_of_chain(model, gathered, unknown, nominal, estimate, blank, limits)
     if folds is None or result.refusal:
         return result
     from carm_kin.cross_validate_chain import cross_validate_chain
 
-    held_out = cross_validate_chain(parts, gathered.problem, model, folds, free, chosen)
+    held_out = cross_validate_chain(recorded.kept, gathered.problem, model, estimate, folds, unknown, chosen)
     return replace(result, cross_validation=held_out)
 
 
-def fit(
-    problem: ChainProblem, model: ChainModel, free: Free, options: Options
-) -> tuple[ChainEstimate, ChainEstimate] | Note:
-    """The nominal machine with its base and mounts fitted, and the calibrated one; or why there is none."""
+def _model(
+    parts: Sequence[Recording], file: UrdfFile, sensor_link: str | None, angular: str | None, orbital: str | None
+) -> ChainModel:
+    """The machine with the sensors that the recordings name, or the one asked for."""
+    links = sensor_links_of(parts, sensor_link)
+    known = tuple(link or chain_of(file, None, angular, orbital).sensor_link for link in links)
+    return chain_model(file, tuple(dict.fromkeys(known)), angular, orbital)
+
+
+def _repeated(recording: Recording, model: ChainModel) -> np.ndarray:
+    """(N,) mask of the poses that repeat the one before them of the same sensor."""
+    again, sensor = np.zeros(len(recording), dtype=bool), sensor_numbers(recording, model.sensor_links)
+    R = recording.R_world_sensor
+    for s in np.unique(sensor):
+        here = sensor == s
+        again[here] = repeated(recording.p_world_sensor[here], None if R is None else R[here])
+    return again
+
+
+def fit(problem: ChainProblem, model: ChainModel, free: Free, options: Options) -> ChainEstimate | Note:
+    """The calibrated machine, or why there is none. Joints that stand still in all poses keep their numbers."""
     start = start_of(problem, model.machine, [model.axes(s) for s in range(len(model.chains))])
-    if start is None:
-        words = "the poses do not turn about two axes, or nothing links the placements and sensors to each other"
-        return Note("unobservable", words)
+    if isinstance(start, Note):
+        return start
     try:
-        nominal = solve_chain(problem, start.machine, start.values, free_of(model, NOTHING), options)
-        begin = nominal if nominal.converged else start
-        return nominal, solve_chain(problem, begin.machine, begin.values, free, options)
+        placed = solve_chain(problem, start.machine, start.values, free_of(model, NOTHING), options, start.agrees)
+        begin = placed.machine if placed.converged else start.machine
+        values = np.where(problem.read, problem.label, start.values)
+        return solve_chain(problem, begin, values, free.only(~problem.still), options, start.agrees)
     except np.linalg.LinAlgError:
         return Note("unobservable", "the poses determine no machine: the equations are singular")
+
+
+def nominal_fit(problem: ChainProblem, model: ChainModel, estimate: ChainEstimate) -> ChainEstimate:
+    """The URDF's own machine, base and mounts fitted to the same poses with the same noise as the ``estimate``."""
+    machine = estimate.machine
+    placed = replace(model.machine, T_world_base=machine.T_world_base, T_last_sensor=machine.T_last_sensor)
+    sigma = tuple(0.0 if given == 0 else float(s) for given, s in zip(problem.sigma, estimate.sigma, strict=True))
+    values = np.where(problem.read, problem.label, estimate.values)
+    nothing, options = free_of(model, NOTHING), Options(reject_outliers=False)
+    return solve_chain(replace(problem, sigma=sigma), placed, values, nothing, options, estimate.used)
 
 
 def free_of(model: ChainModel, free: FreeJoints) -> Free:
     """The masks of the joints. Raises InputError for a name that the chain does not have."""
     axes = {model.names[j] for s in range(len(model.chains)) for j in model.axes(s)}
-    groups = {ALL: set(model.names), AXES: axes, NONE: set()}
 
-    def mask(names: tuple[str, ...]) -> np.ndarray:
+    def mask(names: tuple[str, ...], possible: tuple[str, ...]) -> np.ndarray:
+        groups = {ALL: set(possible), AXES: axes & set(possible), NONE: set()}
         for name in names:
-            if name not in groups and name not in model.names:
-                valid = listing((ALL, AXES, NONE, *model.names))
+            if name not in groups and name not in possible:
+                valid = listing((ALL, AXES, NONE, *possible))
                 raise InputError(f"no joint of the chain is named {name!r}; valid: {valid}", file=model.urdf.path)
         chosen = set().union(*(groups.get(name, {name}) for name in names))
         return np.array([name in chosen for name in model.names])
 
-    return Free(mask(free.placements), mask(free.zeros), mask(free.gains))
+    in_file = tuple(name for name, carried in zip(model.names, model.carried, strict=True) if carried)
+    return Free(mask(free.placements, in_file), mask(free.zeros, in_file), mask(free.gains, model.names))
 
 
 def _check_noise(sigma: tuple[float | None, ...]) -> None:

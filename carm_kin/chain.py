@@ -1,7 +1,7 @@
 """The serial chain of a URDF as arrays, and the nominal two-axis geometry of the C-arm in it."""
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -192,7 +192,7 @@ def chain_of(
         raise InputError(problem, file=urdf.path)
     chosen = _axis_indices(urdf, moving, sensor_link, angular, orbital)
     first, second = sorted(chosen)
-    before, at, carriers = _folded(joints, {joint.name for joint in urdf.joints})
+    before, at, carriers = _folded(joints, _origin_carriers(urdf))
     return Chain(
         urdf.base,
         sensor_link,
@@ -251,7 +251,12 @@ def _first_free(candidates: list[str], rotary: dict[str, int], taken: set[str | 
     return next(name for name in candidates if name in rotary and name not in taken)
 
 
-def _folded(joints: tuple[Joint, ...], in_file: set[str]) -> tuple[Array, Array, tuple[str | None, ...]]:
+def _origin_carriers(urdf: UrdfFile) -> dict[str, str]:
+    """Joint -> joint of the file whose ``<origin>`` is its own; the inner parts of a planar joint have none."""
+    return {joint.elementary()[0].name: joint.name for joint in urdf.joints}
+
+
+def _folded(joints: tuple[Joint, ...], carrier: Mapping[str, str]) -> tuple[Array, Array, tuple[str | None, ...]]:
     """For each moving joint and for the sensor: fixed joints before (J + 1, 4, 4), origin (J + 1, 4, 4), its joint."""
     before, origins, carriers = [], [], []
     T = np.eye(4)
@@ -261,7 +266,7 @@ def _folded(joints: tuple[Joint, ...], in_file: set[str]) -> tuple[Array, Array,
             continue
         before.append(T)
         origins.append(joint.origin)
-        carriers.append(joint.name if joint.name in in_file else None)
+        carriers.append(carrier.get(joint.name))
         T = np.eye(4)
     if joints[-1].type != "fixed":
         before.append(T)

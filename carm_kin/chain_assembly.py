@@ -1,36 +1,86 @@
 """From the chain solver's estimate to the result that a user gets."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from carm_kin import chain_checks as checks
 from carm_kin import chain_numbers as numbers
 from carm_kin import result as r
 from carm_kin.assembly import conventions, sigma_of
 from carm_kin.chain_model import ChainModel
 from carm_kin.chain_problem import Gathered
 from carm_kin.chain_result import BasePlacement, ChainCalibration, Origin, PoseError
+from carm_kin.provenance import provenance_of
 from carm_kin.recording import Recording
-from carm_kin.urdf import listing
-from solvers.chain import ChainEstimate
-from solvers.chain_problem import ANGLES, LENGTHS
+from carm_kin.repeated import REASON
+from solvers.chain import ChainEstimate, Free
+from solvers.chain_problem import ANGLES, LENGTHS, ChainProblem
 from solvers.estimate import Note
-from solvers.limits import Limits, misfit, uncertain
+from solvers.limits import Limits
 from solvers.se3 import Array
 
 SOLVER = "chain"
-WEAK_T, WEAK_R = 5e-3, float(np.radians(0.5))
-"""A joint's number that is estimated to no better than this (one sigma, m or rad) is warned of."""
+HANDLED = "other_joint_moved"
+"""A warning for the two-axis solvers alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """Recordings taken together, and which of their poses count."""
+
+    recordings: tuple[Recording, ...]
+    repeated: tuple[np.ndarray, ...]
+    """(N,) of each recording: poses that repeat the one before."""
+
+    @property
+    def kept(self) -> list[Recording]:
+        """The recordings without their repeated poses."""
+        return [part.select(~again) if again.any() else part for part, again in self._both]
+
+    @property
+    def numbers(self) -> Array:
+        """Numbers of all poses, counted on through the recordings in their order, frames without a pose included."""
+        found, first = [], 0
+        for part in self.recordings:
+            found.append(part.pose_number + first)
+            first += max(len(part) + part.missing, int(part.pose_number.max(initial=-1)) + 1)
+        return np.concatenate(found)
+
+    @property
+    def again(self) -> np.ndarray:
+        """Mask of the repeated poses among all."""
+        return np.concatenate(self.repeated)
+
+    @property
+    def warnings(self) -> tuple[Note, ...]:
+        """Of the recordings, each once."""
+        return tuple(dict.fromkeys(w for part in self.recordings for w in part.warnings if w.code != HANDLED))
+
+    @property
+    def _both(self) -> list[tuple[Recording, np.ndarray]]:
+        return list(zip(self.recordings, self.repeated, strict=True))
+
+    def outliers(self, used: np.ndarray) -> r.Outliers:
+        """The repeated poses, and those of the others that are not ``used``."""
+        number, reasons = self.numbers, []
+        sorts = {"does not agree with the other poses": number[~self.again][~used], REASON: number[self.again]}
+        for reason, poses in sorts.items():
+            if poses.size:
+                reasons.append(r.Rejection(reason, len(poses), tuple(int(i) for i in poses)))
+        everything = sorted(i for reason in reasons for i in reason.indices)
+        return r.Outliers(len(everything), tuple(everything), tuple(reasons))
 
 
 @dataclass(frozen=True, eq=False)
 class Blank:
     """What every result of these recordings has."""
 
-    recordings: list[Recording]
+    recorded: Recorded
     options: dict[str, Any]
-    provenance: r.Provenance
+    command: str | None
 
     def refused(self, refusal: Note, notes: tuple[Note, ...]) -> r.CalibrationResult:
         """A result without numbers, before there is an estimate."""
@@ -40,7 +90,7 @@ class Blank:
 
     def bare(self, notes: tuple[Note, ...]) -> r.CalibrationResult:
         """What is there before any number."""
-        poses = sum(len(recording) for recording in self.recordings)
+        poses, kept = len(self.recorded.again), int((~self.recorded.again).sum())
         return r.CalibrationResult(
             status="refused",
             solver=SOLVER,
@@ -57,44 +107,57 @@ class Blank:
             sigma=r.Sigma(),
             covariance=None,
             noise=r.NoiseLevel(0.0, 0.0, True),
-            residuals=r.Residuals("overall", 0.0, 0.0, None, poses),
+            residuals=r.Residuals("overall", 0.0, 0.0, None, kept),
             residuals_per_sweep=(),
             poses=poses,
-            used=poses,
-            outliers=r.Outliers(0, ()),
+            used=kept,
+            outliers=self.recorded.outliers(np.ones(kept, dtype=bool)),
             observability=r.Observability(np.zeros(0), None, ()),
-            warnings=(*(w for recording in self.recordings for w in recording.warnings), *notes),
+            warnings=(*self.recorded.warnings, *notes),
             refusal=None,
-            provenance=self.provenance,
+            provenance=_provenance(self.recorded.recordings, self.command),
         )
+
+
+def _provenance(recordings: Sequence[Recording], command: str | None) -> r.Provenance:
+    """Names and digests of several files stand in one line, commas between."""
+    every = [provenance_of(recording, command, None) for recording in recordings]
+    names, digests = ([getattr(p, field) for p in every] for field in ("input_name", "input_sha256"))
+    if None in names or None in digests:
+        return every[0]
+    return replace(every[0], input_name=", ".join(names), input_sha256=", ".join(digests))
 
 
 def result_of_chain(
     model: ChainModel,
     gathered: Gathered,
+    free: Free,
     nominal: ChainEstimate,
     estimate: ChainEstimate,
     blank: Blank,
     limits: Limits,
 ) -> r.CalibrationResult:
-    """The result of an estimate, refused where it cannot be trusted."""
+    """The result of an estimate, refused where it cannot be trusted; ``free`` is what was set free, and ``nominal`` the
+    URDF's own machine, its base and mounts fitted with the noise of the estimate."""
     problem, labels = gathered.problem, gathered.placements
     at = numbers.stations(problem, estimate, len(labels))
     covariance = numbers.covariance(model, estimate, at)
-    sigma_t, sigma_r = float(estimate.sigma[0]), float(estimate.sigma[1])
-    refusal = _refusal(estimate, limits) or uncertain(covariance, limits)
+    left = checks.unfreed(model, problem, estimate)
+    refusal = checks.refusal(problem, estimate, covariance, left, limits)
     used = int(estimate.used.sum())
-    offs = np.flatnonzero(~estimate.used)
-    rejected = r.Outliers(len(offs), tuple(int(i) for i in offs))
     error = _error(estimate.residual, estimate.used)
+    still = problem.still & (free.placements | free.offsets | free.gains)
+    names = tuple(name for name, rests in zip(model.names, still, strict=True) if rests)
+    open_ = numbers.not_identifiable(model, estimate, labels, names)
     done = replace(
-        blank.bare((*gathered.notes, *_notes(model, estimate, limits))),
+        blank.bare((*gathered.notes, *checks.notes(model, problem, estimate, left, limits))),
         refusal=refusal,
-        noise=r.NoiseLevel(sigma_t, sigma_r, None in problem.sigma[:2]),
+        noise=r.NoiseLevel(float(estimate.sigma[0]), float(estimate.sigma[1]), None in problem.sigma[:2]),
         residuals=r.Residuals("overall", error.translation_rms_m, error.rotation_rms_rad, estimate.chi2_per_dof, used),
+        residuals_per_sweep=_per_sweep(blank.recorded, gathered, estimate),
         used=used,
-        outliers=rejected,
-        observability=_observability(model, estimate, labels),
+        outliers=blank.recorded.outliers(estimate.used),
+        observability=_observability(estimate, open_),
     )
     if refusal:
         return done
@@ -120,51 +183,26 @@ def result_of_chain(
         warnings=(*done.warnings, *conventions(all(referenced), orbital_referenced)),
         sigma=sigma_of(covariance, len(labels)),
         covariance=covariance,
-        chain=_chain(model, gathered, nominal, estimate),
+        angles_rad=_angles(model, problem, estimate, blank.recorded.again),
+        chain=_chain(model, gathered, nominal, estimate, open_),
     )
 
 
-def _refusal(estimate: ChainEstimate, limits: Limits) -> Note | None:
-    sigma_t, sigma_r = float(estimate.sigma[0]), float(estimate.sigma[1])
-    if sigma_t > limits.max_sigma_t_m or sigma_r > limits.max_sigma_r_rad:
-        return misfit(sigma_t, sigma_r)
-    if estimate.chi2_per_dof > limits.max_chi2_per_dof:
-        words = f"residuals exceed the given noise: chi-square per degree of freedom {estimate.chi2_per_dof:.1f}"
-        return Note("misfit", words)
-    share = 1 - estimate.used.mean()
-    if share > limits.max_rejected_share:
-        return Note("too_many_outliers", f"{share:.0%} of the poses agree with no machine that explains the others")
-    return None
+def _angles(model: ChainModel, problem: ChainProblem, estimate: ChainEstimate, again: np.ndarray) -> Array:
+    """(N, 2) alpha and beta of every pose of the recordings, NaN of repeated ones; offsets are in the placements."""
+    pairs = np.array([model.axes(s) for s in range(len(model.chains))])[problem.sensor]
+    found = np.full((len(again), 2), np.nan)
+    turned = estimate.values * (1 + estimate.machine.gains)
+    found[~again] = np.take_along_axis(turned, pairs, axis=1)
+    return found
 
 
-def _notes(model: ChainModel, estimate: ChainEstimate, limits: Limits) -> list[Note]:
-    notes = []
-    if not estimate.converged:
-        notes.append(Note("not_converged", f"the solver stopped after {estimate.iterations} steps without converging"))
-    share = 1 - estimate.used.mean()
-    if share > limits.silent_rejected_share:
-        words = f"{share:.0%} of the poses do not agree with the others and were not used"
-        notes.append(Note("many_rejected", words))
-    weak = [
-        change.joint
-        for change in numbers.joint_changes(model, estimate)
-        if change.shift_sigma_m.max() > WEAK_T or change.turn_sigma_rad.max() > WEAK_R
-    ]
-    if weak:
-        words = f"the poses hardly determine the origin of {listing(weak)}: give a prior, or free fewer joints"
-        notes.append(Note("weak_joints", words))
-    if model.machine.gains.any() or estimate.machine.gains.any():
-        words = "a URDF has no gain of a joint: the calibrated file leaves them out"
-        notes.append(Note("gains_not_in_urdf", words))
-    return notes
-
-
-def _observability(model: ChainModel, estimate: ChainEstimate, labels: tuple[str, ...]) -> r.Observability:
+def _observability(estimate: ChainEstimate, open_: tuple[str, ...]) -> r.Observability:
     """Eigenvalues of the correlation matrix, inverted: of the information of the estimated unknowns."""
     C = estimate.covariance[np.ix_(estimate.active, estimate.active)]
     scale = np.sqrt(np.diagonal(C))
     values = np.sort(1 / np.linalg.eigvalsh(C / np.outer(scale, scale)))[::-1]
-    return r.Observability(values, float(values[0] / values[-1]), numbers.not_identifiable(model, estimate, labels))
+    return r.Observability(values, float(values[0] / values[-1]), open_)
 
 
 def _error(residual: Array, used: np.ndarray) -> PoseError:
@@ -172,7 +210,26 @@ def _error(residual: Array, used: np.ndarray) -> PoseError:
     return PoseError(t, w)
 
 
-def _chain(model: ChainModel, gathered: Gathered, nominal: ChainEstimate, estimate: ChainEstimate) -> ChainCalibration:
+def _per_sweep(recorded: Recorded, gathered: Gathered, estimate: ChainEstimate) -> tuple[r.Residuals, ...]:
+    """Of the used poses of every labelled sweep; chi-square counts their readings, too."""
+    problem, rows, first = gathered.problem, [], 0
+    dof = 6 + problem.read.sum(axis=1) - problem.free.sum(axis=1)
+    for k, part in enumerate(recorded.kept, 1):
+        for sweep in part.sweeps:
+            poses = first + sweep.poses
+            poses = poses[estimate.used[poses]]
+            if poses.size:
+                label = sweep.label if len(recorded.recordings) == 1 else f"{k}: {sweep.label}"
+                error = _error(estimate.residual[poses], np.ones(len(poses), dtype=bool))
+                chi2 = float(estimate.distance2[poses].sum() / max(dof[poses].sum(), 1))
+                rows.append(r.Residuals(label, error.translation_rms_m, error.rotation_rms_rad, chi2, len(poses)))
+        first += len(part)
+    return tuple(rows)
+
+
+def _chain(
+    model: ChainModel, gathered: Gathered, nominal: ChainEstimate, estimate: ChainEstimate, open_: tuple[str, ...]
+) -> ChainCalibration:
     machine, labels = estimate.machine, gathered.placements
     touched = np.array([bool(_estimated(estimate, j)) for j in range(len(model.names))])
     origins = model.origins(machine, np.flatnonzero(touched))
@@ -185,7 +242,7 @@ def _chain(model: ChainModel, gathered: Gathered, nominal: ChainEstimate, estima
         sensors=tuple(numbers.sensor_geometry(model, estimate, s) for s in range(len(model.chains))),
         joints=numbers.joint_changes(model, estimate),
         origins=tuple(Origin(joint, T) for joint, T in origins.items()),
-        not_identifiable=numbers.not_identifiable(model, estimate, labels),
+        not_identifiable=open_,
         nominal=_error(nominal.residual, estimate.used),
         calibrated=_error(estimate.residual, estimate.used),
         reading_sigma_rad=float(estimate.sigma[ANGLES]) if (read & ~lengths).any() else None,

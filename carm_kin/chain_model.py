@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from carm_kin.chain import Chain, chain_of
-from carm_kin.urdf import UrdfFile
+from carm_kin.urdf import UrdfFile, patch_origins
 from solvers.machine import Machine
-from solvers.se3 import Array, exp_so3, inverse, transform
+from solvers.se3 import Array, exp_so3, transform
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,25 +40,33 @@ class ChainModel:
         turned = machine.placements @ _zero_motions(machine)
         return replace(original, placements=turned[path], T_last_sensor=machine.T_last_sensor[sensor])
 
-    def origins(self, machine: Machine, joints: np.ndarray) -> dict[str, Array]:
-        """The URDF origins, joint name -> T_parent_joint, of the ``joints`` (numbers) and the sensor mounts that are
-        not the nominal ones. Raises InputError where no ``<origin>`` can carry a change."""
-        found: dict[str, Array] = {}
-        for sensor, chain in enumerate(self.chains):
-            calibrated = self.chain(machine, sensor)
-            kept = np.isin(machine.paths[sensor], joints)
-            placements = np.where(kept[:, None, None], calibrated.placements, chain.placements)
-            carried = chain.origin_joints[-1] is not None
-            found |= chain.origins(placements, calibrated.T_last_sensor if carried else chain.T_last_sensor)
+    @property
+    def carried(self) -> np.ndarray:
+        """(J,) joints whose placement stands in an ``<origin>`` of the file: not the inner parts of a planar joint."""
+        found = np.ones(len(self.names), dtype=bool)
+        for chain, path in zip(self.chains, self.machine.paths, strict=True):
+            found[path] = [joint is not None for joint in chain.origin_joints[:-1]]
         return found
 
-    def new_mounts(self, machine: Machine) -> dict[str, Array]:
-        """Link -> T_link_sensor of the sensors that stand on a moving link itself, where no ``<origin>`` carries it."""
-        return {
-            chain.sensor_link: inverse(chain.T_last_sensor) @ machine.T_last_sensor[sensor]
-            for sensor, chain in enumerate(self.chains)
-            if chain.origin_joints[-1] is None
-        }
+    def origins(self, machine: Machine, joints: np.ndarray) -> dict[str, Array]:
+        """The URDF origins, joint name -> T_parent_joint, of the ``joints`` (numbers) and the sensor mounts that are
+        not the nominal ones. Raises InputError where no ``<origin>`` can carry a change.
+
+        A sensor may stand on another one's link, so the mounts are found one after the other, the nearest to the base
+        first.
+        """
+        urdf, found = self.urdf, {}
+        for sensor in sorted(range(len(self.chains)), key=lambda s: len(urdf.joints_to(self.sensor_links[s]))):
+            nominal, calibrated = self.chains[sensor], self.chain(machine, sensor)
+            kept = np.isin(machine.paths[sensor], joints)
+            placements = np.where(kept[:, None, None], calibrated.placements, nominal.placements)
+            carried = nominal.origin_joints[-1] is not None
+            axes = nominal.names[nominal.angular], nominal.names[nominal.orbital]
+            before = chain_of(urdf, nominal.sensor_link, *axes) if found else nominal
+            changed = before.origins(placements, calibrated.T_last_sensor if carried else nominal.T_last_sensor)
+            found = changed | found
+            urdf = patch_origins(self.urdf, found)
+        return found
 
 
 def chain_model(

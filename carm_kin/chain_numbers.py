@@ -100,8 +100,11 @@ def joint_changes(model: ChainModel, estimate: ChainEstimate) -> tuple[JointChan
     return tuple(found)
 
 
-def not_identifiable(model: ChainModel, estimate: ChainEstimate, placements: tuple[str, ...]) -> tuple[str, ...]:
-    """What was set free but stays nominal, and what it cannot be told from: a sentence a joint, base or mount."""
+def not_identifiable(
+    model: ChainModel, estimate: ChainEstimate, placements: tuple[str, ...], still: tuple[str, ...]
+) -> tuple[str, ...]:
+    """What was set free but stays nominal, and what it cannot be told from: a sentence a joint, base or mount, and one
+    for the joints that stand ``still``."""
     owners, parts = _owners(model, estimate, placements)
     together: dict[str, tuple[list[str], dict[str, None]]] = {}
     for dependence in estimate.dependent:
@@ -109,10 +112,11 @@ def not_identifiable(model: ChainModel, estimate: ChainEstimate, placements: tup
         directions.append(parts[dependence.unknown])
         order = np.argsort(-np.abs(dependence.coefficients))
         others |= {owners[dependence.others[k]]: None for k in order}
-    return tuple(
+    found = [
         f"{owner} ({', '.join(directions)}): {_reason(owner, list(others))}"
         for owner, (directions, others) in together.items()
-    )
+    ]
+    return (*found, *([f"{', '.join(still)}: at rest in all poses"] if still else []))
 
 
 def _reason(owner: str, others: list[str]) -> str:

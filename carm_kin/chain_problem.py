@@ -28,10 +28,11 @@ class Gathered:
 
 
 def sensor_links_of(recordings: Sequence[Recording], sensor_link: str | None) -> tuple[str | None, ...]:
-    """The sensor links that the recordings name in their column ``sensor``, else the one given."""
-    named = [recording.metadata[SENSOR] for recording in recordings if SENSOR in recording.metadata]
-    found = tuple(dict.fromkeys(str(name) for names in named for name in names if name))
-    return found or (sensor_link,)
+    """The sensor links that the recordings name in their column ``sensor``; first of all ``sensor_link`` where a
+    recording has no such column."""
+    columns = [recording.metadata.get(SENSOR) for recording in recordings]
+    named = [str(name) for column in columns if column is not None for name in column if name]
+    return tuple(dict.fromkeys([sensor_link, *named] if any(column is None for column in columns) else named))
 
 
 def gather(
@@ -84,7 +85,7 @@ def _one(recording: Recording, model: ChainModel, number: int, of: int) -> _Part
         if (name in recording.prismatic) != bool(model.machine.prismatic[model.names.index(name)]):
             unit = "deg" if name in recording.prismatic else "mm"
             raise InputError(f"joint {name!r} is measured in {unit}", file=file, column=f"q_{name}_{unit}")
-    sensor = _sensors(recording, model)
+    sensor = sensor_numbers(recording, model.sensor_links)
     n, J = len(recording), len(model.names)
     held, label = np.full((n, J), -1), np.full((n, J), np.nan)
     in_play = np.isin(model.names, list(mentioned))
@@ -107,16 +108,17 @@ def _one(recording: Recording, model: ChainModel, number: int, of: int) -> _Part
     return _Part(transform(recording.R_world_sensor, recording.p_world_sensor), labels, sensor, held, label, in_play)
 
 
-def _sensors(recording: Recording, model: ChainModel) -> np.ndarray:
-    """(N,) numbers of the sensors."""
+def sensor_numbers(recording: Recording, links: tuple[str, ...]) -> np.ndarray:
+    """(N,) which of the ``links`` carries the sensor of each pose. Raises InputError where a pose names none."""
     if SENSOR not in recording.metadata:
         return np.zeros(len(recording), dtype=int)
-    links = model.sensor_links
-    empty = np.flatnonzero(recording.metadata[SENSOR] == "")
+    column = recording.metadata[SENSOR]
+    empty = np.flatnonzero(column == "")
     if empty.size:
         file = recording.source.path if recording.source else None
-        raise InputError(f"pose {empty[0]} names no sensor link", file=file, column=SENSOR)
-    return np.array([links.index(str(name)) for name in recording.metadata[SENSOR]], dtype=int)
+        problem = f"pose {recording.pose_number[empty[0]]} names no sensor link"
+        raise InputError(problem, file=file, column=SENSOR)
+    return np.array([links.index(str(name)) for name in column], dtype=int)
 
 
 def _notes(model: ChainModel, parts: list[_Part]) -> tuple[Note, ...]:

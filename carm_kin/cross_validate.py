@@ -57,7 +57,7 @@ def cross_validate(
         label, scored = f"fold {fold + 1}", held & sound
         sweeps = tuple(sweep.label for sweep in recording.sweeps if held[sweep.poses[0]])
         fit = calibrate(recording.select(~held), solver, angular=angular, orbital=orbital, **options)
-        refusal = _refusal(recording, problem, fit, ~held & sound) or _nothing_left(scored)
+        refusal = _refusal(recording, problem, fit, ~held & sound) or nothing_left(scored)
         if refusal is None:
             sums.append(_predicted(recording, problem, fit, scored))
         rows.append(row_of(label, sweeps, scored.sum(), None if refusal else sums[-1], refusal))
@@ -130,7 +130,8 @@ def _refusal(recording: Recording, problem: Problem, fit: CalibrationResult, res
     return None
 
 
-def _nothing_left(scored: np.ndarray) -> Note | None:
+def nothing_left(scored: np.ndarray) -> Note | None:
+    """Why a fold without a ``scored`` pose (mask) has no errors."""
     return None if scored.any() else Note("all_rejected", "the fit to all poses rejects every pose of this fold")
 
 

@@ -1,18 +1,17 @@
 """Held-out check of a chain's calibration: every part of the recordings predicted by the fit to the other parts."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from carm_kin.calibrate_chain import FreeJoints, fit, free_of
 from carm_kin.chain_model import ChainModel
-from carm_kin.cross_validate import fold_of_poses
-from carm_kin.errors import RefusedError
+from carm_kin.cross_validate import fold_of_poses, nothing_left
 from carm_kin.held_out import CrossValidation, Errors, HeldOut, overall_of, row_of
 from carm_kin.recording import Recording
-from solvers.chain import ChainEstimate, Options, residuals
-from solvers.chain_equations import normal_equations
-from solvers.chain_problem import ORIENTATIONS, ChainProblem, Layout
+from solvers.chain import ChainEstimate, Free, Options, residuals, solve_chain
+from solvers.chain_problem import ORIENTATIONS, POSITIONS, ChainProblem
+from solvers.chain_values import fit_values
 from solvers.estimate import Note
 
 STEPS = 6
@@ -23,33 +22,32 @@ def cross_validate_chain(
     recordings: Sequence[Recording],
     problem: ChainProblem,
     model: ChainModel,
+    whole: ChainEstimate,
     folds: int,
-    free: FreeJoints = FreeJoints(),
-    options: Options = Options(),
+    free: Free,
+    options: Options,
 ) -> CrossValidation:
     """Predict every fold with the machine, bases and mounts of the fit to the others.
 
-    ``problem`` holds the poses of the ``recordings``, as `carm_kin.chain_problem.gather` makes it. The folds are those
-    of `carm_kin.cross_validate.fold_of_poses` in each recording. Unknown joint values of the held-out poses are fitted
-    to these poses. Raises InputError as that does, RefusedError where all poses together are refused.
+    ``problem`` holds the poses of the ``recordings``, as `carm_kin.chain_problem.gather` makes it, and ``whole`` is the
+    fit to all of them; poses that it rejects are not scored. The folds are those of
+    `carm_kin.cross_validate.fold_of_poses` in each recording. Unknown joint values of the held-out poses are fitted to
+    these poses. Raises InputError as that does.
     """
     number = np.concatenate([fold_of_poses(recording, folds) for recording in recordings])
     sweeps = np.concatenate([_sweeps(recording) for recording in recordings])
-    unknown = free_of(model, free)
-    whole = fit(problem, model, unknown, options)
-    if isinstance(whole, Note):
-        raise RefusedError(whole.code, whole.message)
     rows: list[HeldOut] = []
     sums: list[Errors] = []
     for fold in range(folds):
         held = number == fold
-        scored = np.flatnonzero(held & whole[1].used)
+        scored = held & whole.used
         labels = tuple(dict.fromkeys(str(label) for label in sweeps[held] if label))
-        found = fit(problem.select(np.flatnonzero(~held)), model, unknown, options)
-        refusal = found if isinstance(found, Note) else None
-        if not isinstance(found, Note):
-            sums.append(_predicted(problem.select(scored), found[1], whole[1].values[scored]))
-        rows.append(row_of(f"fold {fold + 1}", labels, len(scored), None if refusal else sums[-1], refusal))
+        found = nothing_left(scored) or _fit_to(problem, ~held, model, whole, free, options)
+        if isinstance(found, Note):
+            rows.append(row_of(f"fold {fold + 1}", labels, scored.sum(), None, found))
+            continue
+        sums.append(_predicted(problem.select(np.flatnonzero(scored)), found, whole.values[scored]))
+        rows.append(row_of(f"fold {fold + 1}", labels, scored.sum(), sums[-1], None))
     return CrossValidation(folds, overall_of(rows, sums), tuple(rows))
 
 
@@ -57,25 +55,34 @@ def _sweeps(recording: Recording) -> np.ndarray:
     return np.full(len(recording), "") if recording.sweep is None else recording.sweep
 
 
+def _fit_to(
+    problem: ChainProblem, rest: np.ndarray, model: ChainModel, whole: ChainEstimate, free: Free, options: Options
+) -> ChainEstimate | Note:
+    """The fit to the ``rest`` (N,) of the poses, or why they do not suffice. It starts from the URDF's numbers, where
+    the fit to all found base and mounts, so that unknown zeros stay where they are."""
+    machine = whole.machine
+    start = replace(model.machine, T_world_base=machine.T_world_base, T_last_sensor=machine.T_last_sensor)
+    part = problem.select(np.flatnonzero(rest))
+    try:
+        found = solve_chain(part, start, whole.values[rest], free.only(~problem.still), options, whole.used[rest])
+    except np.linalg.LinAlgError:
+        return Note("unobservable", "the other poses determine no machine: the equations are singular")
+    shared = slice(0, whole.layout.constant(0))
+    fewer = int(whole.active[shared].sum() - found.active[shared].sum())
+    if fewer > 0:
+        return Note("unobservable", f"the other poses determine {fewer} unknowns fewer than all poses do")
+    return found if found.converged else Note("not_converged", "the fit to the other poses does not converge")
+
+
 def _predicted(problem: ChainProblem, estimate: ChainEstimate, values: np.ndarray) -> Errors:
     """Errors of the poses, their unknown joint values fitted to them from ``values`` (N, J)."""
-    machine, nothing_rejected = estimate.machine, np.ones(len(problem), dtype=bool)
-    layout = Layout.of(problem, len(machine.axes), len(machine.T_world_base), len(machine.T_last_sensor))
-    step = np.zeros(layout.size)
-    own = layout.constant(0) + np.arange(layout.constants)
-    for _ in range(STEPS):
-        at = normal_equations(machine, values, problem, layout, estimate.sigma, nothing_rejected)
-        if own.size:
-            step[own] = -np.linalg.lstsq(at.H[np.ix_(own, own)], at.g[own], rcond=1e-12)[0]
-        constants = np.where(problem.constant >= 0, step[own][problem.constant] if own.size else 0.0, 0.0)
-        values = values + at.value_step(step, values.shape) + constants
-    at = normal_equations(machine, values, problem, layout, estimate.sigma, nothing_rejected)
-    left = residuals(machine, values, problem)
-    poses = slice(0, ORIENTATIONS + 1)
+    values, at = fit_values(problem, estimate.machine, values, estimate.sigma, STEPS)
+    left = residuals(estimate.machine, values, problem)
+    poses = slice(POSITIONS, ORIENTATIONS + 1)
     return Errors(
         len(problem),
         float((left[:, :3] ** 2).sum()),
         float((left[:, 3:] ** 2).sum()),
         float(at.squares[poses].sum()),
-        float(at.counts[poses].sum()) - len(own),
+        float(at.counts[poses].sum()) - problem.constants,
     )

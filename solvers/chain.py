@@ -3,7 +3,7 @@
 Unknown are the base in the world for every placement, the mount of every sensor, and those joint placements,
 zero offsets and gains that are set free and that the data determine. Joint values are readings with a sigma,
 constants of a sweep, or unknown at every pose. Gauss-Newton on the manifold, damped where a step does not descend;
-both noises of the poses are estimated by Helmert's equations, as in `solvers.kinematic`.
+the noises are estimated by Helmert's equations, as in `solvers.kinematic`.
 """
 
 from dataclasses import dataclass, field, replace
@@ -11,18 +11,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtri
 
-from solvers.chain_equations import Reduced, normal_equations
-from solvers.chain_problem import KINDS, ChainProblem, Layout
-from solvers.identifiable import Dependence, identifiable
-from solvers.kinematic import LEAST_CHANGE, OUTLIER_PROBABILITY, SIGMA_FLOOR
-from solvers.machine import Machine
-from solvers.se3 import Array, exp_se3, inverse, log_se3, log_so3
+from solvers.chain_equations import Reduced, factors, normal_equations
+from solvers.chain_noise import first_sigma, next_sigma, redundancy
+from solvers.chain_problem import ChainProblem, Layout
+from solvers.identifiable import Dependence, Identifiable, identifiable
+from solvers.kinematic import OUTLIER_PROBABILITY
+from solvers.machine import Machine, pose_residual
+from solvers.nominal import Nominal
+from solvers.se3 import Array, exp_se3
 
 SETTLING = 3
 """Steps before outliers are told from the noise."""
-FIRST_READING = (2e-3, 1e-4)
-"""Noise of the readings to begin with, rad and m."""
-MEDIAN_CHI2_3 = float(chdtri(3, 0.5))
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +34,10 @@ class Free:
     """(J,) mask of the joints whose zero is."""
     gains: np.ndarray
     """(J,) mask of the joints whose scale is."""
+
+    def only(self, joints: np.ndarray) -> "Free":
+        """The same of some of the ``joints`` (J,) alone."""
+        return Free(self.placements & joints, self.offsets & joints, self.gains & joints)
 
 
 @dataclass(frozen=True)
@@ -67,64 +70,141 @@ class ChainEstimate:
     """(D,) mask of the unknowns that were estimated."""
     covariance: Array
     """(D, D) of the right perturbations, offsets, gains and constants; 0 where they were not estimated."""
+    by_prior: Array
+    """(D,) the share of the nominal number in what is known of each unknown: 0 without a prior, 1 where the poses tell
+    nothing."""
     dependent: tuple[Dependence, ...]
     """What was set free and stays at its nominal value, since the poses do not tell it from others."""
     residual: Array
     """(N, 6) observed less predicted, all values at their best: position (m) and rotation vector (rad)."""
+    distance2: Array
+    """(N,) squares of the pose's residual and of its readings' errors over the noise, its own values at their best."""
     sigma: Array
     """(KINDS,) noise of positions (m), orientations (rad), readings of angles (rad) and of lengths (m)."""
     chi2_per_dof: float
+    """Of all rows over these noises: 1 where all of them were estimated."""
     used: np.ndarray
     """(N,)."""
     iterations: int
     converged: bool
 
 
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Where the iteration stands."""
+
+    machine: Machine
+    values: Array
+    used: np.ndarray
+    at: Reduced
+
+
 def solve_chain(
-    problem: ChainProblem, start: Machine, values: Array, free: Free, options: Options = Options()
+    problem: ChainProblem,
+    start: Machine,
+    values: Array,
+    free: Free,
+    options: Options = Options(),
+    used: np.ndarray | None = None,
 ) -> ChainEstimate:
     """The most likely machine from ``start``, whose placements are the nominal ones, and from the joint ``values``
-    (N, J) there. Raises LinAlgError where the equations are singular."""
-    layout = Layout.of(problem, len(start.axes), len(start.T_world_base), len(start.T_last_sensor))
-    nominal = _Nominal.of(start, layout, options)
-    used, sigma = np.ones(len(problem), dtype=bool), first_sigma(problem, start, values)
-    at = normal_equations(start, values, problem, layout, sigma, used)
-    choice = identifiable(at.factors, at.length, _stages(layout, free))
-    bound = chdtri(np.maximum(6 + problem.read.sum(axis=1) - problem.free.sum(axis=1), 1), OUTLIER_PROBABILITY)
-    machine, damping, converged, iteration = start, 0.0, False, 0
+    (N, J) there, the poses ``used`` (N,) being believed at first. Raises LinAlgError where the equations are
+    singular."""
+    layout = Layout.of(problem, start)
+    nominal = Nominal.of(start, layout, options.prior_t, options.prior_r)
+    used = np.ones(len(problem), dtype=bool) if used is None else used
+    sigma = first_sigma(problem, residuals(start, values, problem)[used])
+    choice = _choice(problem, start, values, layout, sigma, used, free)
+    at = normal_equations(start, values, problem, layout, sigma, used, choice.active)
+    state, damping, converged, iteration = _State(start, values, used, at), 0.0, False, 0
     while not converged and iteration < options.max_iterations:
         iteration += 1
-        H, g = at.H + np.diag(nominal.precision), at.g + nominal.precision * nominal.departure(machine)
+        H, g = _with_prior(state, nominal)
         step = _step(H, g, choice.active, damping)
-        new_sigma = _next_sigma(problem, at, step, _covariance(H, choice.active))
-        settled = np.allclose(new_sigma, sigma, rtol=options.sigma_tolerance)
-        believed = at.distance2 <= bound if options.reject_outliers and (settled or iteration > SETTLING) else used
-        changed = bool((believed != used).any())
-        trial = moved(machine, layout, step)
-        trial_values = values + at.value_step(step, values.shape) + _constant_step(problem, layout, step)
-        there = normal_equations(trial, trial_values, problem, layout, new_sigma, believed)
-        before = at.cost_at(sigma / new_sigma) + nominal.cost(machine)
-        if not changed and not there.cost + nominal.cost(trial) <= before * (1 + 1e-6) + 1e-6:
+        sigma = next_sigma(problem, state.at, step, covariance_of(H, choice.active))
+        settled = np.allclose(sigma, state.at.sigma, rtol=options.sigma_tolerance)
+        believed = _believed(problem, state) if settled or iteration > SETTLING else state.used
+        believed = believed if options.reject_outliers else state.used
+        changed = bool((believed != state.used).any())
+        there = _stepped(problem, layout, state, step, sigma, believed, choice.active)
+        before = state.at.cost_at(sigma) + nominal.cost(state.machine)
+        if not changed and not there.at.cost + nominal.cost(there.machine) <= before * (1 + 1e-6) + 1e-6:
             damping = max(10 * damping, 1e-6)
             continue
         converged = settled and not changed and damping == 0 and bool(step @ H @ step < options.tolerance**2)
-        machine, values, at, used, sigma = trial, trial_values, there, believed, new_sigma
-        damping = damping * 0.1 if damping > 1e-8 else 0.0
-    C = _covariance(at.H + np.diag(nominal.precision), choice.active)
-    values = values + at.value_step(np.zeros(layout.size), values.shape)
-    redundancy = max(float(_redundancy(at, C).sum()), 1.0)
+        state, damping = there, damping * 0.1 if damping > 1e-8 else 0.0
+    return _estimate(problem, layout, nominal, choice, state, iteration, converged)
+
+
+def _choice(
+    problem: ChainProblem, machine: Machine, values: Array, layout: Layout, sigma: Array, used: np.ndarray, free: Free
+) -> Identifiable:
+    """What of the unknowns is estimated: bases and mounts first, then constants, then what is free of the joints."""
+    joints = [layout.placement(j) for j in np.flatnonzero(free.placements)]
+    joints += [np.array([layout.offset(j)]) for j in np.flatnonzero(free.offsets)]
+    joints += [np.array([layout.gain(j)]) for j in np.flatnonzero(free.gains)]
+    constants = layout.constant(0) + np.arange(layout.constants)
+    stages = [layout.always(), constants, np.concatenate([np.zeros(0, dtype=int), *joints])]
+    wanted = np.zeros(layout.size, dtype=bool)
+    wanted[np.concatenate(stages)] = True
+    rows, length = factors(machine, values, problem, layout, sigma, used, wanted)
+    return identifiable(rows, length, [stage for stage in stages if stage.size])
+
+
+def _with_prior(state: _State, nominal: Nominal) -> tuple[Array, Array]:
+    """Information (D, D) and gradient (D,) of the poses and the prior."""
+    H = state.at.H + np.diag(nominal.precision)
+    return H, state.at.g + nominal.precision * nominal.departure(state.machine)
+
+
+def _believed(problem: ChainProblem, state: _State) -> np.ndarray:
+    """(N,) mask of the poses that the noise explains."""
+    dof = np.maximum(6 + problem.read.sum(axis=1) - problem.free.sum(axis=1), 1)
+    return state.at.distance2 <= chdtri(dof, OUTLIER_PROBABILITY)
+
+
+def _stepped(
+    problem: ChainProblem,
+    layout: Layout,
+    state: _State,
+    step: Array,
+    sigma: Array,
+    believed: np.ndarray,
+    active: np.ndarray,
+) -> _State:
+    """After a step of the global unknowns, and of the values that follow them."""
+    machine = moved(state.machine, layout, step)
+    values = state.values + state.at.value_step(step, state.values.shape) + layout.constant_step(problem, step)
+    at = normal_equations(machine, values, problem, layout, sigma, believed, active)
+    return _State(machine, values, believed, at)
+
+
+def _estimate(
+    problem: ChainProblem,
+    layout: Layout,
+    nominal: Nominal,
+    choice: Identifiable,
+    state: _State,
+    iterations: int,
+    converged: bool,
+) -> ChainEstimate:
+    H = _with_prior(state, nominal)[0]
+    C = covariance_of(H, choice.active)
+    values = state.values + state.at.value_step(np.zeros(layout.size), state.values.shape)
     return ChainEstimate(
-        machine=machine,
+        machine=state.machine,
         values=values,
         layout=layout,
         active=choice.active,
         covariance=C,
+        by_prior=nominal.precision * np.diagonal(C),
         dependent=choice.dependent,
-        residual=residuals(machine, values, problem),
-        sigma=sigma,
-        chi2_per_dof=at.cost / redundancy,
-        used=used,
-        iterations=iteration,
+        residual=residuals(state.machine, values, problem),
+        distance2=state.at.distance2,
+        sigma=state.at.sigma,
+        chi2_per_dof=state.at.cost / max(float(redundancy(state.at, C).sum()), 1.0),
+        used=state.used,
+        iterations=iterations,
         converged=converged,
     )
 
@@ -134,56 +214,8 @@ def residuals(machine: Machine, values: Array, problem: ChainProblem) -> Array:
     found = np.empty((len(problem), 6))
     for poses in problem.groups:
         p, s = int(problem.placement[poses[0]]), int(problem.sensor[poses[0]])
-        predicted = machine.poses(values[poses], p, s)
-        R, observed = predicted[:, :3, :3], problem.T_world_sensor[poses]
-        found[poses, :3] = np.einsum("nji,nj->ni", R, observed[:, :3, 3] - predicted[:, :3, 3])
-        found[poses, 3:] = log_so3(np.swapaxes(R, 1, 2) @ observed[:, :3, :3])
+        found[poses] = pose_residual(machine.poses(values[poses], p, s), problem.T_world_sensor[poses])
     return found
-
-
-@dataclass(frozen=True, eq=False)
-class _Nominal:
-    """What is known beforehand: the nominal numbers, each to a sigma."""
-
-    machine: Machine
-    layout: Layout
-    precision: Array
-    """(D,)."""
-
-    @staticmethod
-    def of(machine: Machine, layout: Layout, options: Options) -> "_Nominal":
-        precision = np.zeros(layout.size)
-        for j, slides in enumerate(machine.prismatic):
-            own = layout.placement(j)
-            if options.prior_t is not None:
-                precision[own[:3]] = options.prior_t**-2
-            if options.prior_r is not None:
-                precision[own[3:]] = options.prior_r**-2
-            sigma = options.prior_t if slides else options.prior_r
-            precision[layout.offset(j)] = 0.0 if sigma is None else sigma**-2
-        return _Nominal(machine, layout, precision)
-
-    def departure(self, machine: Machine) -> Array:
-        """(D,) of the machine from the nominal one; 0 for what has no nominal value."""
-        found = np.zeros(self.layout.size)
-        changed = log_se3(inverse(self.machine.placements) @ machine.placements)
-        for j in range(self.layout.joints):
-            found[self.layout.placement(j)] = changed[j]
-            found[self.layout.offset(j)] = machine.offsets[j] - self.machine.offsets[j]
-        return found
-
-    def cost(self, machine: Machine) -> float:
-        return float((self.precision * self.departure(machine) ** 2).sum())
-
-
-def _stages(layout: Layout, free: Free) -> list[np.ndarray]:
-    """The unknowns in order of preference: bases and mounts, constants, then what is set free of the joints."""
-    joints = [layout.placement(j) for j in np.flatnonzero(free.placements)]
-    joints += [np.array([layout.offset(j)]) for j in np.flatnonzero(free.offsets)]
-    joints += [np.array([layout.gain(j)]) for j in np.flatnonzero(free.gains)]
-    constants = layout.constant(0) + np.arange(layout.constants)
-    stages = [layout.always(), constants, np.concatenate(joints) if joints else np.zeros(0, dtype=int)]
-    return [stage for stage in stages if stage.size]
 
 
 def moved(machine: Machine, layout: Layout, step: Array) -> Machine:
@@ -202,60 +234,23 @@ def moved(machine: Machine, layout: Layout, step: Array) -> Machine:
     )
 
 
-def _constant_step(problem: ChainProblem, layout: Layout, step: Array) -> Array:
-    """(N, J) steps of the values that are constants of their sweeps."""
-    own = step[layout.constant(0) :]
-    return np.where(problem.constant >= 0, own[np.maximum(problem.constant, 0)] if own.size else 0.0, 0.0)
-
-
-def first_sigma(problem: ChainProblem, machine: Machine, values: Array) -> Array:
-    """Of the poses from the median squares, which outliers leave alone, of the residuals at the start."""
-    squares = residuals(machine, values, problem) ** 2
-    found = np.sqrt(np.median(squares.reshape(-1, 2, 3).sum(axis=2), axis=0) / MEDIAN_CHI2_3)
-    return _given_or(problem, np.concatenate([found, FIRST_READING]))
-
-
-def _next_sigma(problem: ChainProblem, at: Reduced, step: Array, C: Array) -> Array:
-    """All noises by Helmert's equations, those of kinds without data left as they are."""
-    squares, redundancy = at.squares_after(step), _redundancy(at, C)
-    known = np.array([s is not None for s in problem.sigma]) | (np.diagonal(at.counts) <= 0)
-    A = at.counts - np.diag(_drawn(at, C))
-    A[known] = np.eye(KINDS)[known]
-    ratio = np.linalg.solve(A, np.where(known, 1.0, squares))
-    alone = np.where(known, 1.0, squares / np.maximum(redundancy, 1.0))
-    ratio = ratio if (ratio > LEAST_CHANGE).all() else alone
-    return _given_or(problem, np.sqrt(ratio) * at.sigma)
-
-
-def _given_or(problem: ChainProblem, estimated: Array) -> Array:
-    """(KINDS,); exact readings have no rows, so their sigma is never used."""
-    given = np.array([np.nan if s is None else s for s in problem.sigma])
-    return np.maximum(np.where(np.isfinite(given), given, estimated), SIGMA_FLOOR)
-
-
-def _drawn(at: Reduced, C: Array) -> Array:
-    """(KINDS,) degrees of freedom that the global unknowns take of each kind."""
-    return np.einsum("ij,kij->k", C, at.H_by_kind)
-
-
-def _redundancy(at: Reduced, C: Array) -> Array:
-    """(KINDS,) rows of each kind less what the fitted unknowns take of them."""
-    return at.counts.sum(axis=1) - _drawn(at, C)
-
-
-def _covariance(H: Array, active: np.ndarray) -> Array:
+def covariance_of(H: Array, active: np.ndarray) -> Array:
     """inv(H) over the active unknowns, scaled to unit information, 0 elsewhere."""
     C = np.zeros_like(H)
-    inner = H[np.ix_(active, active)]
-    scale = np.sqrt(np.maximum(np.diagonal(inner), 1e-150))
-    C[np.ix_(active, active)] = np.linalg.inv(inner / np.outer(scale, scale)) / np.outer(scale, scale)
+    inner, scale = _scaled(H, active)
+    C[np.ix_(active, active)] = np.linalg.inv(inner) / np.outer(scale, scale)
     return C
 
 
 def _step(H: Array, g: Array, active: np.ndarray, damping: float) -> Array:
+    inner, scale = _scaled(H, active)
+    step = np.zeros(len(active))
+    step[active] = -np.linalg.solve(inner + (damping + 1e-15) * np.eye(len(inner)), g[active] / scale) / scale
+    return step
+
+
+def _scaled(H: Array, active: np.ndarray) -> tuple[Array, Array]:
+    """The information of the active unknowns with a unit diagonal, and their scale."""
     inner = H[np.ix_(active, active)]
     scale = np.sqrt(np.maximum(np.diagonal(inner), 1e-150))
-    A = inner / np.outer(scale, scale) + (damping + 1e-15) * np.eye(len(inner))
-    step = np.zeros(len(active))
-    step[active] = -np.linalg.solve(A, g[active] / scale) / scale
-    return step
+    return inner / np.outer(scale, scale), scale

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from solvers.machine import Machine
 from solvers.se3 import Array
 
 POSITIONS, ORIENTATIONS, ANGLES, LENGTHS = range(4)
@@ -57,6 +58,11 @@ class ChainProblem:
             number[unknown] = np.unique(key, axis=0, return_inverse=True)[1].ravel()
         return number
 
+    @cached_property
+    def still(self) -> np.ndarray:
+        """(J,) joints that stand at one and the same known value in all poses."""
+        return (~self.free & (self.constant < 0) & (self.label == self.label[:1])).all(axis=0)
+
     @property
     def constants(self) -> int:
         """How many unknown constants there are."""
@@ -86,9 +92,9 @@ class Layout:
     constants: int
 
     @staticmethod
-    def of(problem: ChainProblem, joints: int, bases: int, sensors: int) -> "Layout":
-        """Of a machine and a problem."""
-        return Layout(bases, joints, sensors, problem.constants)
+    def of(problem: ChainProblem, machine: Machine) -> "Layout":
+        """Of a problem and its machine."""
+        return Layout(len(machine.T_world_base), len(machine.axes), len(machine.T_last_sensor), problem.constants)
 
     @property
     def size(self) -> int:
@@ -123,3 +129,7 @@ class Layout:
         """Bases and mounts, which nothing else fixes."""
         found = [self.base(p) for p in range(self.bases)] + [self.mount(s) for s in range(self.sensors)]
         return np.concatenate(found)
+
+    def constant_step(self, problem: ChainProblem, step: Array) -> Array:
+        """(N, J) steps of the values that are constants of their sweeps, of a step (D,) of all unknowns."""
+        return np.append(step[self.constant(0) :], 0.0)[problem.constant]

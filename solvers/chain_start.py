@@ -1,8 +1,7 @@
 """Where the chain solver starts: base, mount and all joint values from the nominal machine.
 
-Values that nobody knows are taken from the two-axis solver, for the poses in which only the two axes are unknown, with
-both senses of each axis tried where no label tells it. Then base and mount follow in closed form
-(`solvers.robot_world`), and the values that are left by Gauss-Newton.
+Values that nobody knows are taken from the two-axis solver, with both senses of each axis tried where no label tells
+it. Then base and mount follow in closed form (`solvers.robot_world`), and the values that are left by Gauss-Newton.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,15 +11,18 @@ from itertools import product
 import numpy as np
 
 from solvers import kinematic
-from solvers.chain import first_sigma, residuals
-from solvers.chain_equations import normal_equations
-from solvers.chain_problem import ChainProblem, Layout
+from solvers.chain import residuals
+from solvers.chain_noise import first_sigma
+from solvers.chain_problem import ChainProblem
+from solvers.chain_values import fit_values
+from solvers.estimate import Note
 from solvers.machine import Machine
 from solvers.problem import Problem
-from solvers.robot_world import RobotWorld, robot_world
+from solvers.robot_world import robot_world
 from solvers.se3 import Array
+from solvers.torus import near_median
 
-VALUE_STEPS = 12
+ROUNDS = 12
 """Gauss-Newton steps for the values of joints that neither a reading nor the two-axis solver tells."""
 
 
@@ -31,29 +33,41 @@ class Start:
     machine: Machine
     values: Array
     """(N, J)."""
+    residual: Array
+    """(N, 6)."""
+
+    @property
+    def agrees(self) -> np.ndarray:
+        """(N,) mask of the poses that are no farther off than most."""
+        t, w = np.linalg.norm(self.residual.reshape(-1, 2, 3), axis=2).T
+        return near_median(t) & near_median(w)
+
+    @property
+    def badness(self) -> float:
+        """How far off the poses are."""
+        return float(np.median(np.linalg.norm(self.residual, axis=1)))
 
 
-def start_of(problem: ChainProblem, machine: Machine, axes: Sequence[tuple[int, int]]) -> Start | None:
-    """The best start; ``axes`` are the two axes of each sensor's chain. None where the poses do not turn about two
+def start_of(problem: ChainProblem, machine: Machine, axes: Sequence[tuple[int, int]]) -> Start | Note:
+    """The best start; ``axes`` are the two axes of each sensor's chain. A refusal where the poses do not turn about two
     axes, or nothing links the bases and mounts."""
-    found = [start for values in _guesses(problem, axes) if (start := _placed(problem, machine, values))]
-    if not found:
-        return None
-    return min(found, key=lambda start: _badness(problem, start))
-
-
-def _badness(problem: ChainProblem, start: Start) -> float:
-    return float(np.median(np.linalg.norm(residuals(start.machine, start.values, problem), axis=1)))
+    found = [_placed(problem, machine, values) for values in _guesses(problem, axes)]
+    starts = [start for start in found if isinstance(start, Start)]
+    return min(starts, key=lambda start: start.badness) if starts else found[0]
 
 
 def _guesses(problem: ChainProblem, axes: Sequence[tuple[int, int]]) -> Iterator[Array]:
-    """Joint values (N, J), NaN where they are left open."""
-    choices = [_angles(problem, s, pair) for s, pair in enumerate(axes)]
+    """Joint values (N, J), NaN where they are left open. Unknown constants of joints other than the axes are 0."""
+    known = problem.label.copy()
+    is_axis = np.zeros(known.shape, dtype=bool)
+    for s, pair in enumerate(axes):
+        is_axis[np.ix_(problem.sensor == s, pair)] = True
+    known[np.isnan(known) & (problem.constant >= 0) & ~is_axis] = 0.0
+    choices = [_angles(problem, known, s, pair) for s, pair in enumerate(axes)]
     for chosen in product(*choices):
-        values = problem.label.copy()
+        values = known.copy()
         for part in chosen:
-            unknown = np.isnan(values[part.poses]) & part.mask
-            values[part.poses] = np.where(unknown, part.values, values[part.poses])
+            values = np.where(np.isnan(values), part, values)
         for k in range(problem.constants):
             own = problem.constant == k
             values[own] = _middle(values[own])
@@ -65,75 +79,76 @@ def _middle(values: Array) -> float:
     return float(values[0] + np.median(np.angle(np.exp(1j * (values - values[0])))))
 
 
-@dataclass(frozen=True, eq=False)
-class _Angles:
-    """Guessed values (M, J) of some poses, valid where the mask (M, J) is."""
+def _angles(problem: ChainProblem, known: Array, sensor: int, pair: tuple[int, int]) -> list[Array]:
+    """Guesses (N, J) of the two angles of a sensor's chain, where they are unknown; NaN where there is none.
 
-    poses: np.ndarray
-    values: Array
-    mask: np.ndarray
-
-
-def _angles(problem: ChainProblem, sensor: int, pair: tuple[int, int]) -> list[_Angles]:
-    """Guesses of the two angles of a sensor's chain, where they are not known."""
+    The two-axis machine is found from the poses whose other joints are ``known`` (N, J), and from all, as if the other
+    joints stood at zero.
+    """
     here = np.flatnonzero(problem.sensor == sensor)
-    others = np.delete(np.arange(problem.label.shape[1]), pair)
-    covered = here[np.isfinite(problem.label[here][:, others]).all(axis=1)]
-    mask = np.zeros((len(covered), problem.label.shape[1]), dtype=bool)
-    mask[:, pair] = True
-    nothing = _Angles(covered[:0], np.zeros((0, mask.shape[1])), mask[:0])
-    if not covered.size or np.isfinite(problem.label[covered][:, pair]).all():
+    others = np.delete(np.arange(known.shape[1]), pair)
+    covered = here[np.isfinite(known[here][:, others]).all(axis=1)]
+    nothing = np.full(known.shape, np.nan)
+    if np.isfinite(known[here][:, pair]).all():
         return [nothing]
-    station = np.concatenate([problem.placement[covered, None], problem.label[covered][:, others]], axis=1)
-    two_axis = Problem(
-        problem.T_world_sensor[covered, :3, 3],
-        problem.T_world_sensor[covered, :3, :3],
-        np.unique(np.round(station, 9), axis=0, return_inverse=True)[1].ravel(),
-        problem.held[covered][:, pair],
-        problem.label[covered][:, pair],
+    guesses = []
+    for chosen in (covered, here) if 0 < len(covered) < len(here) else (here,):
+        guesses += _turns(problem, np.nan_to_num(known), sensor, pair, chosen)
+    return guesses or [nothing]
+
+
+def _turns(
+    problem: ChainProblem, known: Array, sensor: int, pair: tuple[int, int], chosen: np.ndarray
+) -> Iterator[Array]:
+    """The two angles (N, J) of all poses of a sensor, by the two-axis machine of the ``chosen`` ones."""
+    here = np.flatnonzero(problem.sensor == sensor)
+    station = np.delete(known, pair, axis=1)
+    station = np.concatenate([problem.placement[:, None], np.round(station, 9)], axis=1)
+    number = np.full(len(problem), -1)
+    number[chosen] = np.unique(station[chosen], axis=0, return_inverse=True)[1].ravel()
+    for p in np.unique(problem.placement[here]):
+        inside = chosen[problem.placement[chosen] == p]
+        number[here[(problem.placement[here] == p) & (number[here] < 0)]] = number[inside[0]] if inside.size else 0
+    whole = Problem(
+        problem.T_world_sensor[:, :3, 3],
+        problem.T_world_sensor[:, :3, :3],
+        number,
+        problem.held[:, pair],
+        problem.label[:, pair],
     )
+    part = whole.select(chosen)
     try:
-        angles = kinematic.solve(two_axis).torus
+        torus = kinematic.solve(part).torus
     except (np.linalg.LinAlgError, ValueError):
-        return [nothing]
-    if angles is None:
-        return [nothing]
-    found = []
-    for senses in product(*(((1,) if known else (1, -1)) for known in two_axis.zero_labelled)):
-        values = np.zeros(mask.shape)
-        values[:, pair] = angles.angles(two_axis) * senses
-        found.append(_Angles(covered, values, mask))
-    return found
+        return
+    if torus is None:
+        return
+    alpha, beta = part.zero_labelled
+    for senses in product(*((1,) if known else (1, -1) for known in (bool(alpha.all()), beta))):
+        values = np.full(known.shape, np.nan)
+        values[here[:, None], pair] = torus.angles(whole.select(here)) * senses
+        yield values
 
 
-def _placed(problem: ChainProblem, machine: Machine, values: Array) -> Start | None:
+def _placed(problem: ChainProblem, machine: Machine, values: Array) -> Start | Note:
     """Base and mount for these values; those left open follow."""
-    placements, sensors = int(problem.placement.max()) + 1, int(problem.sensor.max()) + 1
+    placements, sensors = int(problem.placement.max()) + 1, len(machine.paths)
     known = np.isfinite(values).all(axis=1)
-    if not known.any():
-        return None
-    bare = replace(
-        machine, T_world_base=np.eye(4)[None], T_last_sensor=np.broadcast_to(np.eye(4), (sensors, 4, 4)).copy()
-    )
-    F = np.empty((len(problem), 4, 4))
+    known = known if known.any() else np.ones(len(values), dtype=bool)
+    unit = np.broadcast_to(np.eye(4), (sensors, 4, 4))
+    bare = replace(machine, T_world_base=np.eye(4)[None], T_last_sensor=unit)
+    F, filled = np.empty((len(problem), 4, 4)), np.nan_to_num(values)
     for s in range(sensors):
         here = problem.sensor == s
-        F[here] = bare.poses(np.nan_to_num(values[here]), 0, s)
-    found: RobotWorld | None = robot_world(
+        F[here] = bare.poses(filled[here], 0, s)
+    found = robot_world(
         problem.T_world_sensor[known], F[known], problem.placement[known], problem.sensor[known], placements, sensors
     )
-    if found is None:
-        return None
+    if isinstance(found, Note):
+        return found
     placed = replace(machine, T_world_base=found.T_world_base, T_last_sensor=found.T_last_sensor)
-    return Start(placed, values if known.all() else _completed(problem, placed, values))
-
-
-def _completed(problem: ChainProblem, machine: Machine, values: Array) -> Array:
-    """The values that are NaN, from zero by Gauss-Newton at a fixed machine."""
-    layout = Layout.of(problem, len(machine.axes), len(machine.T_world_base), len(machine.T_last_sensor))
-    values, all_of_them, nothing = np.nan_to_num(values), np.ones(len(problem), dtype=bool), np.zeros(layout.size)
-    for _ in range(VALUE_STEPS):
-        sigma = first_sigma(problem, machine, values)
-        at = normal_equations(machine, values, problem, layout, sigma, all_of_them)
-        values = values + at.value_step(nothing, values.shape)
-    return values
+    if np.isnan(values).any():
+        for _ in range(ROUNDS):
+            sigma = first_sigma(problem, residuals(placed, filled, problem))
+            filled = fit_values(problem, placed, filled, sigma, 1)[0]
+    return Start(placed, filled, residuals(placed, filled, problem))

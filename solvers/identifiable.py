@@ -36,21 +36,13 @@ class Identifiable:
     """What was left out, each with what it cannot be told from."""
 
 
-def identifiable(
-    factors: Sequence[tuple[np.ndarray, Array]], length: Array, stages: Sequence[np.ndarray]
-) -> Identifiable:
+def identifiable(rows: Array, length: Array, stages: Sequence[np.ndarray]) -> Identifiable:
     """Choose from the ``stages`` of unknowns, earlier ones first, as many as the data determine.
 
-    ``factors`` are the triangular factors of the reduced rows with their columns and ``length`` (D,) is that of the
-    columns before, as in `Reduced`. Within a stage the pivot is the column that the chosen ones explain least.
+    ``rows`` (M, D) and ``length`` (D,) are those of `solvers.chain_equations.factors`. Within a stage the pivot is the
+    column that the chosen ones explain least.
     """
-    J = np.zeros((sum(len(R) for _, R in factors), len(length)))
-    row = 0
-    for columns, R in factors:
-        J[row : row + len(R), columns] = R
-        row += len(R)
-    J = J / np.where(length > 0, length, 1.0)
-    J = np.asarray(np.linalg.qr(J, mode="r"), dtype=float)
+    J = np.asarray(np.linalg.qr(rows / np.where(length > 0, length, 1.0), mode="r"), dtype=float)
     chosen = np.zeros(0, dtype=int)
     left = J
     for stage in stages:

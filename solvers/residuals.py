@@ -26,7 +26,7 @@ def residual_notes(problem: Problem, angles: Array, residual: Array, redundancy:
 
     ``redundancy`` is the number of position residuals less what the angles absorb.
     """
-    found = *_flex(angles, residual[:3], redundancy), _correlated(problem, residual)
+    found = *_flex(angles, residual[:3], redundancy), correlated(_neighbours(problem), residual)
     return tuple(note for note in found if note is not None)
 
 
@@ -72,9 +72,13 @@ def _left(A: Array, y: Array) -> tuple[float, Array]:
 
 
 def neighbour_correlation(problem: Problem, residual: Array) -> float:
-    """Correlation of the residuals (6, N) of neighbouring poses of a sweep, in position or in orientation,
-    whichever is greater; 0 where there is no telling."""
-    same = _neighbours(problem)
+    """`correlation` of the residuals (6, N) of neighbouring poses of a sweep."""
+    return correlation(_neighbours(problem), residual)
+
+
+def correlation(same: np.ndarray, residual: Array) -> float:
+    """Correlation of the residuals (6, N) of neighbouring poses, in position or in orientation, whichever is greater;
+    0 where there is no telling. ``same`` (N - 1,) says which poses count as neighbours of the next."""
     worst = 0.0
     for part in (residual[:3], residual[3:]):
         square = float((part**2).mean()) if part.size else 0.0
@@ -87,11 +91,10 @@ def _neighbours(problem: Problem) -> np.ndarray:
     return (np.diff(problem.held, axis=0) == 0).all(axis=1) & (np.diff(problem.placement) == 0)
 
 
-def _correlated(problem: Problem, residual: Array) -> Note | None:
-    """A note where neighbouring poses have alike residuals."""
-    pairs = int(_neighbours(problem).sum())
-    worst = neighbour_correlation(problem, residual)
-    if worst <= max(CORRELATION, 5 / np.sqrt(3 * max(pairs, 1))):
+def correlated(same: np.ndarray, residual: Array) -> Note | None:
+    """A note where neighbouring poses, as in `correlation`, have alike residuals."""
+    worst = correlation(same, residual)
+    if worst <= max(CORRELATION, 5 / np.sqrt(3 * max(int(same.sum()), 1))):
         return None
     return Note(
         "correlated_residuals",

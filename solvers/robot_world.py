@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from solvers.estimate import Note
 from solvers.se3 import Array, inverse, log_so3, project_so3, transform
 from solvers.torus import near_median
 
@@ -30,67 +31,73 @@ class RobotWorld:
 
 def robot_world(
     T: Array, F: Array, placement: np.ndarray, sensor: np.ndarray, placements: int, sensors: int
-) -> RobotWorld | None:
-    """From T_world_sensor (N, 4, 4) and T_base_last (N, 4, 4) of so many base placements and sensors; None where they
-    turn about one axis only, or a base or a mount is linked to no other."""
-    agrees = np.ones(len(T), dtype=bool)
-    found = None
+) -> RobotWorld | Note:
+    """From T_world_sensor (N, 4, 4) and T_base_last (N, 4, 4) of so many base placements and sensors; a refusal where
+    they turn about one axis only, or a base or a mount is linked to no other."""
+    found: RobotWorld | Note = RobotWorld(np.eye(4)[None], np.eye(4)[None], np.ones(len(T), dtype=bool))
     for _ in range(ROUNDS):
-        rotations = _rotations(T[agrees], F[agrees], placement[agrees], sensor[agrees], placements, sensors)
-        if rotations is None:
-            return None
-        X, Y = rotations
-        X, Y = _with_translations(X, Y, T[agrees], F[agrees], placement[agrees], sensor[agrees])
-        off = inverse(X[placement] @ F @ Y[sensor]) @ T
-        good = near_median(np.linalg.norm(off[:, :3, 3], axis=1))
-        good &= near_median(np.linalg.norm(log_so3(off[:, :3, :3]), axis=1))
-        found = RobotWorld(X, Y, good)
-        if (good == agrees).all():
+        believed = found.agrees
+        found = _fitted(T, F, placement, sensor, (placements, sensors), believed)
+        if isinstance(found, Note) or (found.agrees == believed).all():
             break
-        agrees = good
     return found
+
+
+def _fitted(
+    T: Array, F: Array, placement: np.ndarray, sensor: np.ndarray, counts: tuple[int, int], believed: np.ndarray
+) -> RobotWorld | Note:
+    """From the ``believed`` (N,) poses alone, and which of all agree with that."""
+    rotations = _rotations(T[believed], F[believed], placement[believed], sensor[believed], *counts)
+    if isinstance(rotations, Note):
+        return rotations
+    X, Y = _with_translations(*rotations, T[believed], F[believed], placement[believed], sensor[believed])
+    off = inverse(X[placement] @ F @ Y[sensor]) @ T
+    agrees = near_median(np.linalg.norm(off[:, :3, 3], axis=1))
+    return RobotWorld(X, Y, agrees & near_median(np.linalg.norm(log_so3(off[:, :3, :3]), axis=1)))
 
 
 def _rotations(
     T: Array, F: Array, placement: np.ndarray, sensor: np.ndarray, P: int, S: int
-) -> tuple[Array, Array] | None:
-    """Of all bases (P, 3, 3) and mounts (S, 3, 3), spread from the pair with the most poses."""
-    counts = np.zeros((P, S), dtype=int)
-    np.add.at(counts, (placement, sensor), 1)
-    X, Y = np.zeros((P, 3, 3)), np.zeros((S, 3, 3))
-    first = np.unravel_index(int(counts.argmax()), counts.shape)
-    here = (placement == first[0]) & (sensor == first[1])
-    pair = _pair(T[here, :3, :3], F[here, :3, :3])
-    if pair is None:
-        return None
-    X[first[0]], Y[first[1]] = pair
-    bases, mounts = {int(first[0])}, {int(first[1])}
-    while len(bases) < P or len(mounts) < S:
-        links = [(counts[p, s], p, s) for p, s in np.argwhere(counts > 0) if (p in bases) != (s in mounts)]
+) -> tuple[Array, Array] | Note:
+    """Of all bases (P, 3, 3) and mounts (S, 3, 3), spread from the pair that determines them best."""
+    members = {(p, s): (placement == p) & (sensor == s) for p in range(P) for s in range(S)}
+    members = {pair: here for pair, here in members.items() if here.any()}
+    pairs = {pair: _pair(T[here, :3, :3], F[here, :3, :3]) for pair, here in members.items()}
+    (p, s), best = max(pairs.items(), key=lambda item: item[1].gap)
+    if best.gap < LEAST_ROTATION * members[p, s].sum():
+        return Note("one_axis_only", "the sensor turns about one axis only: where base and sensor stand is unknown")
+    X, Y = {p: best.X}, {s: best.Y}
+    while len(X) < P or len(Y) < S:
+        links = [pair for pair in members if (pair[0] in X) != (pair[1] in Y)]
         if not links:
-            return None
-        _, p, s = max(links)
-        here = (placement == p) & (sensor == s)
-        R, K = T[here, :3, :3], F[here, :3, :3]
-        if p in bases:
+            words = "nothing links all placements and sensors: some share no sensor and no placement with the others"
+            return Note("unobservable", words)
+        p, s = max(links, key=lambda pair: members[pair].sum())
+        R, K = T[members[p, s], :3, :3], F[members[p, s], :3, :3]
+        if p in X:
             Y[s] = project_so3((np.swapaxes(X[p] @ K, 1, 2) @ R).sum(axis=0))
         else:
             X[p] = project_so3((R @ np.swapaxes(K @ Y[s], 1, 2)).sum(axis=0))
-        bases.add(int(p))
-        mounts.add(int(s))
-    return X, Y
+    return np.array([X[p] for p in range(P)]), np.array([Y[s] for s in range(S)])
 
 
-def _pair(R: Array, F: Array) -> tuple[Array, Array] | None:
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """One base and one mount."""
+
+    X: Array
+    Y: Array
+    gap: float
+    """By how much the best solution stands out, at most the number of poses."""
+
+
+def _pair(R: Array, F: Array) -> _Pair:
     """X and Y (3, 3) with X F_i Y = R_i."""
     N = np.einsum("nab,ncd->acbd", R, F).reshape(9, 9)
     u, values, vt = np.linalg.svd(N)
-    if values[0] - values[1] < LEAST_ROTATION * values[0]:
-        return None
     X, Yt = u[:, 0].reshape(3, 3), vt[0].reshape(3, 3)
     sign = np.sign(np.linalg.det(X))
-    X, Yt = project_so3(sign * X), project_so3(sign * Yt)
-    return X, Yt.T
+    return _Pair(project_so3(sign * X), project_so3(sign * Yt).T, float(values[0] - values[1]))
 
 
 def _with_translations(
