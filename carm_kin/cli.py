@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import typer
 
 import carm_kin
+from carm_kin import cli_export
 from carm_kin.cli_arguments import above_zero, joint_names, options, writable
 from carm_kin.cli_chain import ChainOptions, calibrate_with, chain_options
 from carm_kin.cli_options import grouped
@@ -255,6 +256,9 @@ def check(
     if found.failures:
         raise typer.Exit(_ended(3, "failed", "; ".join(found.failures)))
     Stderr().print("passed: the saved calibration holds", style="bold green")
+
+
+cli_export.register(app)
 
 
 def _deliver(result: Any, as_json: str | None) -> None:
