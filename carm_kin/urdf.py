@@ -5,7 +5,7 @@ angles rad. A patch changes the numbers of one ``<origin>`` and leaves every oth
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.parsers import expat
@@ -23,6 +23,7 @@ __all__ = [
     "JOINT_TYPES",
     "Joint",
     "UrdfFile",
+    "add_comment",
     "add_fixed_link",
     "bundled_urdfs",
     "find_urdf",
@@ -150,6 +151,15 @@ def add_fixed_link(urdf: UrdfFile, parent: str, name: str, T_parent_link: ArrayL
         indent + b"</joint>",
     ]
     return parse_urdf(before + newline.join(lines) + newline + urdf.data[len(before) :].lstrip(b" \t"), urdf.path)
+
+
+def add_comment(urdf: UrdfFile, lines: Sequence[str]) -> UrdfFile:
+    """The same file with one more comment in front of its root; two hyphens in a row must not be in it."""
+    start = _end_of_prolog(urdf.data)
+    newline = b"\r\n" if b"\r\n" in urdf.data else b"\n"
+    text = [line.encode("ascii", "backslashreplace") for line in lines]
+    comment = newline.join([b"<!--", *(b"  " + line for line in text), b"-->", b""])
+    return parse_urdf(urdf.data[:start] + comment + urdf.data[start:], urdf.path)
 
 
 def _parse(data: bytes, path: Path) -> Any:

@@ -1,0 +1,63 @@
+"""Exports of a calibration to other programs, found by name: every public module of this package is one.
+
+An export module has ``NAME``, ``ENDING`` (of its file name), ``SUMMARY`` (one line), ``TAKES`` (which of the fields
+of `Wanted` it looks at) and ``write(result, out, wanted)``. Every file holds the convention, the units, the standard
+deviations, the date and the hash of the recording.
+"""
+
+import importlib
+import os
+import pkgutil
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from carm_kin.errors import InputError, RefusedError
+from carm_kin.exports._wanted import SENSOR_CARM, TRANSFORMS, WORLD_TORUS, Wanted
+from carm_kin.result import CalibrationResult
+
+__all__ = ["SENSOR_CARM", "TRANSFORMS", "WORLD_TORUS", "Export", "Wanted", "export_result", "exports"]
+
+
+@dataclass(frozen=True)
+class Export:
+    """One kind of file that a calibration is written to."""
+
+    name: str
+    ending: str
+    summary: str
+    takes: frozenset[str]
+    """The fields of `Wanted` that it looks at."""
+    write: Callable[[CalibrationResult, Path, Wanted], None]
+
+
+def exports() -> dict[str, Export]:
+    """Every export by its name."""
+    found = {}
+    for module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
+        if not module.startswith("_"):
+            it = importlib.import_module(f"{__name__}.{module}")
+            found[it.NAME] = Export(it.NAME, it.ENDING, it.SUMMARY, frozenset(it.TAKES), it.write)
+    return found
+
+
+def export_result(
+    result: CalibrationResult, to: str, out: str | os.PathLike, wanted: Wanted = Wanted()
+) -> CalibrationResult:
+    """Write a calibration for another program, and give it back; ``to`` is one of `exports`.
+
+    Raises RefusedError for a refused calibration; InputError for an unknown name, for a field of ``wanted`` that
+    this export has no use for, for what the result does not hold, and where the place cannot be written.
+    """
+    known = exports()
+    if to not in known:
+        raise InputError(f"no export '{to}'; choose from {', '.join(known)}")
+    if result.refusal:
+        words = f"a refused calibration is not exported: {result.refusal.message}"
+        raise RefusedError(result.refusal.code, words)
+    default = Wanted()
+    for name in (field.name for field in fields(Wanted)):
+        if getattr(wanted, name) != getattr(default, name) and name not in known[to].takes:
+            raise InputError(f"the export '{to}' has no use for '{name.replace('_', '-')}'")
+    known[to].write(result, Path(out), wanted)
+    return result

@@ -1,0 +1,48 @@
+"""The transform and the whole result as JSON."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from carm_kin.exports._wanted import Subject, Wanted, subject_of
+from carm_kin.result import CalibrationResult
+from carm_kin.result_json import write_atomically
+from solvers.se3 import quat_wxyz_from_rotation
+
+NAME, ENDING = "json", ".json"
+SUMMARY = "The transform as matrix and quaternion, with its sigma, and the whole result."
+TAKES = ("transform", "placement", "parent_frame", "child_frame")
+SCHEMA = "carm-kin/export/1"
+
+
+def write(result: CalibrationResult, out: Path, wanted: Wanted) -> None:
+    """Write the file; translations in mm, angles in degrees."""
+    subject, source = subject_of(result, wanted), result.provenance
+    content = {
+        "schema": SCHEMA,
+        "convention": "p_parent = T_parent_child p_child; column vectors, right-handed",
+        "meaning": subject.meaning,
+        "zero": subject.zero,
+        "units": {"translation": "mm", "rotation": "1", "angles": "deg"},
+        **_numbers(subject),
+        "input_name": source.input_name,
+        "input_sha256": source.input_sha256,
+        "date": source.date,
+        "result": result.to_dict(),
+    }
+    write_atomically(out, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+def _numbers(subject: Subject) -> dict[str, object]:
+    T, sigma, angle = subject.T_parent_child, subject.sigma_translation, subject.sigma_axis
+    w, x, y, z = quat_wxyz_from_rotation(T[:3, :3])
+    return {
+        "parent_frame": subject.parent,
+        "child_frame": subject.child,
+        "T_parent_child": (T * np.where(np.arange(4) == 3, [[1e3], [1e3], [1e3], [1.0]], 1.0)).tolist(),
+        "translation_mm": (T[:3, 3] * 1e3).tolist(),
+        "quat_xyzw": [float(q) for q in (x, y, z, w)],
+        "sigma_translation_mm": None if sigma is None else (sigma * 1e3).tolist(),
+        "sigma_axis_deg": None if angle is None else float(np.degrees(angle)),
+    }
