@@ -46,7 +46,7 @@ def _rows(before: str, values: np.ndarray, delimiter: str = ",") -> Iterator[str
 
 def native(p: np.ndarray, R: Rotation, t: np.ndarray) -> Iterator[str]:
     yield "x_mm,y_mm,z_mm,qw,qx,qy,qz,time_s"
-    yield from _rows("", np.column_stack([p * 1e3, R.as_quat(scalar_first=True), t]))
+    yield from _rows("", np.column_stack([p * 1e3, np.roll(R.as_quat(), 1, axis=1), t]))
 
 
 def plus(p: np.ndarray, R: Rotation, t: np.ndarray) -> Iterator[str]:
@@ -62,7 +62,7 @@ def plus(p: np.ndarray, R: Rotation, t: np.ndarray) -> Iterator[str]:
 
 def ndi(p: np.ndarray, R: Rotation, t: np.ndarray) -> Iterator[str]:
     yield "Tools,Port 2: Probe s/n:1,Frame,Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error"
-    yield from _rows("1,2,500,1,OK,", np.column_stack([R.as_quat(scalar_first=True), p * 1e3, t]))
+    yield from _rows("1,2,500,1,OK,", np.column_stack([np.roll(R.as_quat(), 1, axis=1), p * 1e3, t]))
 
 
 def ndi_euler(p: np.ndarray, R: Rotation, t: np.ndarray) -> Iterator[str]:
@@ -72,7 +72,7 @@ def ndi_euler(p: np.ndarray, R: Rotation, t: np.ndarray) -> Iterator[str]:
 
 def ndi_capi(p: np.ndarray, R: Rotation, t: np.ndarray) -> Iterator[str]:
     yield "#Tools,ToolInfo,Frame#,PortHandle,Face#,TransformStatus,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,#Markers"
-    rows = _rows("1,Probe s/n:1,500,Port:2,0,OK,", np.column_stack([R.as_quat(scalar_first=True), p * 1e3, t]))
+    rows = _rows("1,Probe s/n:1,500,Port:2,0,OK,", np.column_stack([np.roll(R.as_quat(), 1, axis=1), p * 1e3, t]))
     yield from (f"{row},0" for row in rows)
 
 
@@ -90,7 +90,7 @@ def tum(p: np.ndarray, R: Rotation, t: np.ndarray) -> Iterator[str]:
 
 def table(p: np.ndarray, R: Rotation, t: np.ndarray) -> Iterator[str]:
     yield "time_s,x,y,z,qw,qx,qy,qz"
-    yield from _rows("", np.column_stack([t, p * 1e3, R.as_quat(scalar_first=True)]))
+    yield from _rows("", np.column_stack([t, p * 1e3, np.roll(R.as_quat(), 1, axis=1)]))
 
 
 def hololens_json(p: np.ndarray, R: Rotation, t: np.ndarray) -> Iterator[str]:

@@ -8,6 +8,7 @@ result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m
 from carm_kin.calibrate import calibrate
 from carm_kin.check import check
 from carm_kin.cross_validate import cross_validate
+from carm_kin.declarations import Declarations
 from carm_kin.errors import CarmKinError, InputError, MissingDependencyError
 from carm_kin.formats import read_recording, write_recording
 from carm_kin.recording import Recording
@@ -21,6 +22,7 @@ __version__ = "0.1.0"
 __all__ = [
     "CalibrationResult",
     "CarmKinError",
+    "Declarations",
     "Detector",
     "InputError",
     "MissingDependencyError",

@@ -214,8 +214,9 @@ def files(session: Session) -> Iterator[tuple[Path, list[int]]]:
     """Every file and the numbers of its sweeps, in order of first appearance."""
     found: dict[Path, list[int]] = {}
     for k in range(len(session.sweeps)):
-        found.setdefault(session.file(k), []).append(k)
-    yield from found.items()
+        found.setdefault(session.file(k).resolve(), []).append(k)
+    for sweeps in found.values():
+        yield session.file(sweeps[0]), sweeps
 
 
 def poses_of(session: Session, sweep: int, time_s: np.ndarray | None, count: int) -> np.ndarray:

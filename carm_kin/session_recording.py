@@ -1,6 +1,7 @@
 """The recording of a session: its sweeps one after the other, labelled."""
 
 import difflib
+import hashlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -32,7 +33,7 @@ def read(path: Path) -> Recording:
     """The recording of the session in a file. Raises InputError that names the sweep and the line."""
     session = read_session(path)
     parts: dict[int, _Part] = {}
-    intakes, notes = [], []
+    intakes, notes, digest = [], [], hashlib.sha256(session.sha256.encode())
     for file, sweeps in files(session):
         whole = _file(session, file, sweeps[0])
         taken = np.zeros(len(whole), dtype=int)
@@ -42,12 +43,14 @@ def read(path: Path) -> Recording:
                 raise session.error(f"takes poses of '{session.sweeps[k].file}' that another sweep takes too", k)
             taken += chosen
             parts[k] = _Part(k, session.sweeps[k].file, whole.select(chosen))
+        digest.update(whole.source.sha256.encode() if whole.source else b"")
         intakes += _counted(whole, int((taken == 0).sum()))
         notes += [Note(note.code, f"{session.sweeps[sweeps[0]].file}: {note.message}") for note in whole.notes]
     notes += _misspelt(session)
     recording = _joined(session, [parts[k] for k in range(len(session.sweeps))])
     missing = sum(drop.count for one in intakes for drop in one.dropped)
-    whole = replace(recording, missing=missing, intakes=summed(intakes), notes=tuple(notes))
+    source = Source(str(path), digest.hexdigest())
+    whole = replace(recording, missing=missing, intakes=summed(intakes), notes=tuple(notes), source=source)
     return at_stations(whole) if session.tracker.stations else whole
 
 
@@ -107,7 +110,6 @@ def _joined(session: Session, parts: list[_Part]) -> Recording:
         joints={j: _values(j, parts, held) for j in joints},
         prismatic=frozenset(prismatic),
         metadata={"file": label(part.file for part in parts)},
-        source=Source(str(session.path), session.sha256),
     )
 
 

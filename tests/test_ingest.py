@@ -292,7 +292,7 @@ def test_poses_that_contradict_a_declaration_name_the_option(case):
     T = np.tile(np.eye(4), (len(poses), 1, 1))
     T[:, :3, :3], T[:, :3, 3] = poses.R_world_sensor, poses.p_world_sensor
     T = change(T)
-    quat_wxyz = Rotation.from_matrix(T[:, :3, :3]).as_quat(scalar_first=True)
+    quat_wxyz = np.roll(Rotation.from_matrix(T[:, :3, :3]).as_quat(), 1, axis=1)
     file = Raw({"marker": Track(T[:, :3, 3], quat_wxyz)}, HERE, "m", "wxyz")
     recording = ingest(file, Declarations(**declared), "x")
     labelled = Recording(

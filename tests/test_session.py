@@ -123,6 +123,7 @@ BROKEN = {
     "no time": (HEAD + TWO + "from_s = 3\nto_s = 2\n", r"line 9: sweep 2: to_s must be above from_s, not 2 and 3"),
     "empty range": (HEAD + TWO + "from_s = 30\n", r"line 9: sweep 2: no pose .* lasts 0.58 s"),
     "twice": (HEAD + TWO.replace("b.igs", "a.igs"), r"line 9: sweep 2: takes poses of 'a\.igs\.mha' that another"),
+    "twice by another name": (HEAD + TWO.replace("b.igs", "./a.igs"), r"line 9: sweep 2: takes poses of '\./a\.igs"),
     "wrong tool": (HEAD.replace("Marker", "Probe") + TWO, r"line 4: sweep 1: .*a\.igs\.mha: --tool: no tool 'Probe'"),
     "wrong format": (HEAD.replace("plus", "ndi") + TWO, r"line 4: sweep 1: .*a\.igs\.mha.*Port"),
     "no format": (HEAD.replace("plus", "plsu") + TWO, r"line 4: sweep 1: .*no format 'plsu'"),
@@ -165,6 +166,14 @@ def test_readings_of_a_native_file_are_kept(tmp_path):
 def test_a_joint_that_is_almost_another_is_warned_of(tmp_path):
     recording = read_recording(session(tmp_path, HEAD + TWO.replace("angular = -30", "angualr = -30")))
     assert [note.code for note in recording.notes if "angualr" in note.message] == ["misspelt_joint"]
+
+
+def test_the_digest_is_that_of_the_session_and_of_its_files(tmp_path):
+    path = session(tmp_path, HEAD + TWO)
+    before = read_recording(path).source
+    (tmp_path / "b.igs.mha").write_bytes((tmp_path / "b.igs.mha").read_bytes().replace(b"100.58", b"100.59"))
+    assert read_recording(path).source.sha256 != before.sha256
+    assert before.path == str(path)
 
 
 def test_notes_of_the_files_name_them(tmp_path):
