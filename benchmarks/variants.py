@@ -11,7 +11,7 @@ import numpy as np
 
 import carm_kin
 from benchmarks import scenes
-from carm_kin.calibrate_chain import FreeJoints, fit, free_of
+from carm_kin.calibrate_chain import FreeJoints, fit, free_of, nominal_fit
 from carm_kin.chain_model import ChainModel, chain_model
 from carm_kin.chain_problem import gather
 from carm_kin.urdf import UrdfFile, bundled_urdfs, patch_origins, read_urdf
@@ -66,11 +66,12 @@ def measured(job: tuple[str, str, int]) -> Row:
     problem = gather([recording], model, (None, None, 0.0, 0.0)).problem
     held = np.arange(len(problem)) >= (1 - HELD_OUT) * len(problem)
     start = time.perf_counter()
-    found = fit(problem.select(np.flatnonzero(~held)), model, free_of(model, FreeJoints()), Options())
+    rest = problem.select(np.flatnonzero(~held))
+    estimate = fit(rest, model, free_of(model, FreeJoints()), Options())
     seconds = time.perf_counter() - start
-    if isinstance(found, Note):
-        raise RuntimeError(f"{machine}: {found.message}")
-    nominal, estimate = found
+    if isinstance(estimate, Note):
+        raise RuntimeError(f"{machine}: {estimate.message}")
+    nominal = nominal_fit(rest, model, estimate)
     part = problem.select(np.flatnonzero(held))
     before, after = (residuals(one.machine, part.label, part) for one in (nominal, estimate))
     return Row(
