@@ -18,6 +18,8 @@ from carm_kin.errors import InputError
 from solvers.se3 import Array, exp_so3, rot_x, rot_y, rot_z, transform
 
 MAX_LINKS = 500
+MAX_NAME = 200
+"""Characters of the name of a link or joint."""
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed", "planar", "floating")
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
@@ -182,6 +184,9 @@ class _Reader:
             name = element.get("name")
             if not name:
                 raise self.fail(element, f"a <{kind}> has no name")
+            if len(name) > MAX_NAME or not name.isprintable() or name != name.strip():
+                problem = f"a name has at most {MAX_NAME} printable characters and no white space around it"
+                raise self.fail(element, f"{kind} {name[:30]!r}: {problem}")
             if name in lines:
                 raise self.fail(element, f"{kind} {name!r} is there twice, first in line {lines[name]}")
             lines[name] = element.sourceline

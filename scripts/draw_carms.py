@@ -13,11 +13,14 @@ from scipy.spatial import ConvexHull
 
 from carm_kin.chain import NominalGeometry, chain_of, nominal_geometry
 from carm_kin.urdf import UrdfFile, bundled_urdfs, read_urdf
+from carm_kin.virtual import PIVOT, virtual_motions
 from solvers.se3 import Array, rot_x, rot_y, rot_z, transform
 
 COLUMNS = 3
 PANEL = 460, 430
-MARGIN = 40, 60, 75, 45
+LEGEND = 290
+"""Height of the legend below all panels."""
+MARGIN = 40, 65, 85, 45
 """Left, top, right and bottom of a panel, pixels, for marks and words."""
 FILLS = {"source": "#e8c37e", "detector": "#a9cfa0", "sensor": "#2e8b57"}
 C_FILL = "#9fb8d4"
@@ -79,6 +82,10 @@ class Panel:
             return point
         return self.shift + self.scale * (self.view @ point) * (1, -1)
 
+    def lower_right(self, solids: list[tuple[str, Array]], name: str) -> Array:
+        """Pixels of the lower right corner of a link's shapes."""
+        return np.concatenate([[self.at(p) for p in points] for link, points in solids if link == name]).max(axis=0)
+
     def add(self, tag: str, **attributes: object) -> etree._Element:
         words = {key.replace("_", "-"): f"{v:.1f}" if isinstance(v, float) else str(v) for key, v in attributes.items()}
         return etree.SubElement(self.group, tag, words)
@@ -94,15 +101,17 @@ class Panel:
         self.add("line", **ends, stroke=colour, stroke_width=width, stroke_dasharray=dashes)
 
     def text(self, point: Array, words: str, colour: str = "black", size: int = 14, anchor: str = "start") -> None:
-        x, y = self.at(point)
-        self.add("text", x=float(x), y=float(y), fill=colour, font_size=size, text_anchor=anchor).text = words
+        """Words with a white edge, to be read over shapes."""
+        x, y = map(float, self.at(point))
+        for edge in ({"stroke": "white", "stroke_width": "3", "stroke_linejoin": "round"}, {}):
+            self.add("text", x=x, y=y, fill=colour, font_size=size, text_anchor=anchor, **edge).text = words
 
     def axis(self, point: Array, direction: Array, colour: str) -> None:
-        """An axis through a point: a line, or a dot in a ring where it is normal to the page."""
-        flat = self.view @ direction
+        """An axis through a point: a line, longer to the left or up, or a ring where it is normal to the page."""
+        flat = self.view @ direction * (1, -1)
         if np.linalg.norm(flat) > 0.1:
-            half = 95 / self.scale / np.linalg.norm(flat) * direction
-            self.line(point - half, point + half, colour, "12 3 2 3")
+            along = flat / np.linalg.norm(flat) * (1 if flat @ (2, 1) > 0 else -1)
+            self.line(self.at(point) - 150 * along, self.at(point) + 60 * along, colour, "12 3 2 3")
             return
         x, y = map(float, self.at(point))
         self.add("circle", cx=x, cy=y, r="6.5", fill="none", stroke=colour, stroke_width="1.6")
@@ -117,7 +126,9 @@ class Panel:
 
 def draw_machine(panel: Panel, urdf: UrdfFile, sensor_link: str) -> None:
     """The whole machine, and the marks of the branch that bears this sensor."""
-    geometry, poses = nominal_geometry(chain_of(urdf, sensor_link)), link_poses(urdf)
+    chain, poses = chain_of(urdf, sensor_link), link_poses(urdf)
+    virtual = PIVOT in urdf.links
+    geometry = virtual_motions(urdf, chain)[1] if virtual else nominal_geometry(chain)
     suffix = sensor_link.removeprefix("sensor")
     places = {name: poses[name + suffix][:3, 3] for name in ("source", "detector", "sensor")}
     beam = places["detector"] - places["source"]
@@ -132,18 +143,20 @@ def draw_machine(panel: Panel, urdf: UrdfFile, sensor_link: str) -> None:
     for name, points in solids:
         role = name.split("_")[0]
         panel.polygon(points, FILLS.get(role, C_FILL if name in carriers else "#dddddd"))
-    draw_marks(panel, geometry, places)
+    corner = {name: panel.lower_right(solids, name + suffix) for name in places}
+    draw_marks(panel, geometry, places, corner)
     title = urdf.name + suffix.replace("_", ", ")
     numbers = f"R = {abs(geometry.major_radius) * 1e3:.0f} mm, ε = {np.degrees(geometry.non_orthogonality):.1f}°"
     panel.text(np.array([14.0, 22.0]), title, size=17)
-    panel.text(np.array([14.0, 41.0]), f"{numbers}, source to detector {np.linalg.norm(beam) * 1e3:.0f} mm", GREY, 13)
+    words = f"{'virtual axes, ' if virtual else ''}{numbers}, source to detector {np.linalg.norm(beam) * 1e3:.0f} mm"
+    panel.text(np.array([14.0, 41.0]), words, GREY, 13)
     right, low = PANEL[0] - 20.0, PANEL[1] - 14.0
     panel.line(np.array([right - panel.scale / 2, low]), np.array([right, low]), GREY, width="3")
     panel.text(np.array([right - panel.scale / 4, low - 6]), "0.5 m", GREY, 12, "middle")
 
 
-def draw_marks(panel: Panel, geometry: NominalGeometry, places: dict[str, Array]) -> None:
-    """Axes, pivot, torus centre, offset, beam and their names."""
+def draw_marks(panel: Panel, geometry: NominalGeometry, places: dict[str, Array], corner: dict[str, Array]) -> None:
+    """Axes, pivot, torus centre, offset and beam; the names of the parts beside their lower right corners."""
     center, n, z = (geometry.T_base_torus[:3, k] for k in (3, 0, 2))
     pivot = center + geometry.major_radius * z
     epsilon = geometry.non_orthogonality
@@ -153,12 +166,13 @@ def draw_marks(panel: Panel, geometry: NominalGeometry, places: dict[str, Array]
     panel.axis(pivot, a, BLUE)
     panel.line(places["sensor"], pivot, GREEN, "5 3")
     panel.cross(center)
-    for name, place in places.items():
-        across = 1 if (panel.view @ (places["detector"] - places["source"]))[0] == 0 else 0
-        shift = np.array([0.21 * panel.scale + 6, -4.0]) if across else np.array([0, 0.24 * panel.scale + 14])
-        if name == "sensor":
-            shift = np.array([0.05 * panel.scale + 5, 4.0])
-        panel.text(panel.at(place) + shift, name, GREEN if name == "sensor" else "black", 13)
+    upright = abs(panel.view @ (places["detector"] - places["source"]))[0] < 1e-9
+    for name in ("source", "detector"):
+        if upright:
+            panel.text(corner[name] + np.array([6, 3]), name, size=13)
+        else:
+            panel.text(corner[name] + np.array([0, 17]), name, size=13, anchor="end")
+    panel.text(panel.at(places["sensor"]) + np.array([0.06 * panel.scale + 4, -3]), "sensor", GREEN, 13)
 
 
 def draw_legend(panel: Panel) -> None:
@@ -169,7 +183,7 @@ def draw_legend(panel: Panel) -> None:
         "offset t, from the sensor to the rotation centre on the second axis",
         "beam, from the focal spot to the detector's face",
     ]
-    places = [np.array([45.0, 90.0 + 36 * i]) for i in range(len(rows))]
+    places = [np.array([45.0, 50.0 + 36 * i]) for i in range(len(rows))]
     half = np.array([25.0, 0.0])
     for place, colour in zip(places, (RED, BLUE), strict=False):
         panel.line(place - half, place + half, colour, "12 3 2 3")
@@ -179,19 +193,20 @@ def draw_legend(panel: Panel) -> None:
     for place, words in zip(places, rows, strict=True):
         panel.text(place + np.array([38, 5]), words, size=14)
     note = "All joints at zero, seen from the right (x to the right, z up); biplane, lateral: seen from the patient."
-    panel.text(np.array([20.0, 290.0]), note, GREY, 14)
+    panel.text(np.array([20.0, 250.0]), note, GREY, 14)
 
 
 def draw(urdfs: list[UrdfFile]) -> bytes:
     """The drawing as SVG: a panel for each sensor, the legend last."""
     branches = [(urdf, sensor) for urdf in urdfs for sensor in urdf.sensors]
-    width, height = COLUMNS * PANEL[0], (len(branches) // COLUMNS + 1) * PANEL[1]
+    rows = -(-len(branches) // COLUMNS)
+    width, height = COLUMNS * PANEL[0], rows * PANEL[1] + LEGEND
     size = {"width": str(width), "height": str(height), "viewBox": f"0 0 {width} {height}"}
     svg = etree.Element("svg", size | {"font-family": "sans-serif"}, nsmap={None: "http://www.w3.org/2000/svg"})
     etree.SubElement(svg, "rect", width="100%", height="100%", fill="white")
     for number, (urdf, sensor) in enumerate(branches):
         draw_machine(Panel(svg, number), urdf, sensor)
-    draw_legend(Panel(svg, len(branches)))
+    draw_legend(Panel(svg, rows * COLUMNS))
     return etree.tostring(svg, pretty_print=True)
 
 

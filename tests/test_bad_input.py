@@ -1,5 +1,6 @@
 """Every kind of broken file ends the command with one clear line and exit status 2."""
 
+import os
 import re
 
 import pytest
@@ -96,6 +97,17 @@ LOOP = """<link name="a"/><link name="b"/>
 <joint name="j" type="fixed"><parent link="a"/><child link="b"/></joint>
 <joint name="k" type="fixed"><parent link="b"/><child link="a"/></joint>"""
 
+EXTERNAL = '<!DOCTYPE a [<!ENTITY a SYSTEM "file:///etc/hostname">]>'
+
+
+def _chain(joints: int, kind: str, limit: str = "") -> bytes:
+    links = "".join(f'<link name="l{i}"/>' for i in range(joints + 1))
+    body = "".join(
+        f'<joint name="j{i}" {kind}><parent link="l{i}"/><child link="l{i + 1}"/>{limit}</joint>' for i in range(joints)
+    )
+    return f"<robot>{links}{body}</robot>".encode()
+
+
 BROKEN_URDF = {
     "empty": (b"", "line 1: .*empty"),
     "no XML": (b"hello", "line 1: .*XML"),
@@ -126,6 +138,28 @@ BROKEN_URDF = {
     "no limit": (_joint(ENDS, kind=HINGE), "line .*no limit"),
     "limits reversed": (_joint(ENDS + LIMIT.replace('lower="0"', 'lower="2"'), kind=HINGE), "line .*above the upper"),
     "mimics nothing": (_joint(f'{ENDS}<mimic joint="nobody"/>'), "line .*'nobody'"),
+    "thousands of links": (_chain(4000, 'type="fixed"'), "4001 links"),
+    "thousand joints": (_chain(1000, HINGE, LIMIT), "1001 links"),
+    "hundreds of joints": (_chain(499, HINGE, LIMIT), "499 moving joints .*at most 100"),
+    "name with a space": (_with('name="orbital"', 'name=" orbital"'), "line .*joint ' orbital': a name has"),
+    "blank name": (_with('name="orbital"', 'name=" "'), "line .*joint ' ': a name has"),
+    "name of two lines": (_with('name="orbital"', 'name="orbi&#10;tal"'), r"line .*joint 'orbi\\ntal': a name has"),
+    "name with an escape": (_with('name="orbital"', 'name="orbi&#x9b;31mtal"'), r"line .*\\x9b31mtal': a name has"),
+    "long name": (_with('name="orbital"', f'name="{"x" * 201}"'), "line .*joint 'x{30}': a name has at most 200"),
+    "name of a link": (_with("</robot>", '<link name="a "/></robot>'), "line .*link 'a ': a name has"),
+    "external entity": (EXTERNAL.encode() + b'<robot name="&a;"/>', "line 1: .*DOCTYPE"),
+    "parameter entity": (EXTERNAL.replace("a SYS", "% a SYS").encode() + b"<robot/>", "line 1: .*DOCTYPE"),
+    "undefined entity": (_with('name="orbital"', 'name="&orbital;"'), "line .*XML: Entity 'orbital' not defined"),
+    "UTF-16": (bundled_urdfs()["mobile_skewed"].read_text().encode("utf-16"), "line 1: .*UTF-8"),
+    "declared UTF-16": (_with('version="1.0"', 'version="1.0" encoding="utf-16"'), "line 1: .*XML"),
+    "unknown encoding": (_with('version="1.0"', 'version="1.0" encoding="klingon"'), "line 1: .*XML: Unsupported enc"),
+    "undeclared Latin-1": (_with('"orbital"', '"örbital"').decode().encode("latin-1"), "line .*XML"),
+    "nested deeply": (b"<robot>" + b"<a>" * 100_000, "line 1: .*XML: Excessive depth"),
+    "huge attribute": (b'<robot name="' + b"a" * 15_000_000 + b'"/>', "line 1: .*XML"),
+    "too large": (b"<robot>" + b" " * 20_000_000 + b"</robot>", "larger than 20 MB"),
+    "huge origin": (_with('xyz="0.85 0 0.1"', 'xyz="1e300 0 0"'), "line .*'1e300', which is no finite number"),
+    "subnormal axis": (_with('xyz="0 1 0"', 'xyz="1e-320 0 0"'), "line .*axis is zero"),
+    "mimics itself": (_joint(f'{ENDS}<mimic joint="extra"/>'), "line .*'extra', which is no other joint"),
     "too many links": (b"<robot>" + b"".join(b'<link name="l%d"/>' % i for i in range(501)) + b"</robot>", "501 links"),
     "one axis": (_with('name="angular" type="revolute"', 'name="angular" type="fixed"')
                  .replace(b'name="wig_wag" type="revolute"', b'name="wig_wag" type="fixed"')
@@ -145,6 +179,47 @@ def test_broken_urdf_ends_on_one_clear_line(kind, command, tmp_path, capsys):
     assert message.startswith(str(file))
     assert re.search(expected, message), message
     assert not out.exists()
+
+
+def test_a_frame_that_is_not_there_is_named(tmp_path, capsys):
+    for command in (("inspect",), ("simulate", "-o", tmp_path / "rec.csv")):
+        message = fails(capsys, *command, "mobile_skewed", "--sensor-link", "sensr")
+        assert re.search(r"mobile_skewed.urdf: no link is named 'sensr'; valid: floor, cart_along", message)
+    message = fails(capsys, "inspect", "biplane")
+    assert message.endswith("which link carries the sensor? Name it (sensor_link): sensor_frontal, sensor_lateral")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs a named pipe")
+def test_no_path_in_a_urdf_is_followed(tmp_path, capsys):
+    """The paths lead to a pipe without a writer: whoever opened it would wait for ever."""
+    pipe, file = tmp_path / "pipe", tmp_path / "machine.urdf"
+    os.mkfifo(pipe)
+    texture = f'<material><texture filename="{pipe}"/></material>'
+    mesh = f'<visual><geometry><mesh filename="{pipe}"/></geometry>{texture}</visual>'
+    include = f'<xi:include xmlns:xi="http://www.w3.org/2001/XInclude" href="{pipe}" parse="text"/>'
+    style = f'<?xml-stylesheet href="file://{pipe}"?>'
+    text = _with('<link name="floor"/>', f'<link name="floor">{mesh}</link>{include}').decode()
+    file.write_text(text.replace("<robot", f"{style}\n<robot"))
+    rec = tmp_path / "rec.csv"
+    for command in (("inspect", file), ("simulate", file, "-o", rec), ("calibrate", rec, "--urdf", file)):
+        assert run(capsys, *command).status == 0
+
+
+def test_a_mimic_is_said_not_to_be_applied(tmp_path, capsys):
+    file = tmp_path / "machine.urdf"
+    file.write_bytes(_with('<axis xyz="0 1 0"/>', '<axis xyz="0 1 0"/><mimic joint="angular"/>'))
+    for command in (("inspect", file), ("simulate", file, "-o", tmp_path / "rec.csv")):
+        ended = run(capsys, *command)
+        assert (ended.status, ended.err.count("mimic of 'angular' is not applied")) == (0, 1)
+
+
+def test_parallel_axes_are_no_c_arm(tmp_path, capsys):
+    file = tmp_path / "machine.urdf"
+    file.write_bytes(
+        _with('<axis xyz="0 1 0"/>\n    <limit lower="-0.698', '<axis xyz="1 0 0"/>\n    <limit lower="-0.698')
+    )
+    for command in (("inspect", file), ("simulate", file, "-o", tmp_path / "rec.csv")):
+        assert "the axes of the joints 'angular' and 'orbital' are parallel" in fails(capsys, *command)
 
 
 @pytest.mark.parametrize("name", ["no-such-machine", "/", "/dev/null", "a\nb\x1b[31m.urdf"])

@@ -11,7 +11,7 @@ from command import run
 from family import BRANCHES, FILES, IDS, link_pose, sensors
 
 import carm_kin
-from carm_kin.chain import chain_of
+from carm_kin.chain import chain_of, nominal_geometry
 from carm_kin.model import Model
 from carm_kin.truth import chain_ends
 from carm_kin.urdf import bundled_urdfs, patch_origins, read_urdf, write_urdf
@@ -99,6 +99,22 @@ def test_a_machine_is_simulated_and_calibrated_by_the_command(name, link, tmp_pa
     assert np.all(np.abs(found.torus_center_world_m - expected.torus_center_world_m) < 4.5 * sigma.torus_center_world_m)
     turned = np.linalg.norm(np.cross(found.angular_axis_world, expected.angular_axis_world))
     assert turned < 4.5 * np.linalg.norm(sigma.angular_axis_world)
+
+
+@every_sensor
+@pytest.mark.parametrize("solver", ["closed_form", "decomposed", "direct", "kinematic"])
+def test_exact_poses_of_a_machine_give_the_exact_answer(solver, name, link):
+    recording, truth = carm_kin.simulate(name, "clinical", sensor_link=link, seed=3)
+    axes = nominal_geometry(chain_of(read_urdf(name), link)).axes
+    skewed = abs(truth.axis_non_orthogonality_rad) > 1e-9 and solver != "kinematic"
+    options = {"fix_non_orthogonality": False} if skewed else {}
+    result = carm_kin.calibrate(recording, solver, angular=axes[0], orbital=axes[1], **options)
+    assert result.status == "ok"
+    for part in ("offset_sensor_pivot_m", "major_radius_m", "minor_radius_m", "axis_non_orthogonality_rad"):
+        np.testing.assert_allclose(getattr(result, part), getattr(truth, part), rtol=0, atol=1e-8)
+    found, expected = result.placements[0], truth.placements[0]
+    np.testing.assert_allclose(found.torus_center_world_m, expected.torus_center_world_m, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(found.angular_axis_world, expected.angular_axis_world, rtol=0, atol=1e-8)
 
 
 @every_sensor

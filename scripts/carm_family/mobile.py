@@ -174,8 +174,8 @@ MOBILES = (
         "mobile_beam_offset",
         "Mobile C-arm whose central ray misses the orbital axis: it passes 157.6 mm before it.",
         "157.6 mm is the offset published for a Cios Fusion. Ranges, the source to detector distance (1020 mm) and the "
-        "height of the orbital axis over the focal spot (530 mm) are data sheet values of that machine; R = 30 mm and "
-        "all other lengths are estimates, and so are the shapes, which serve only for drawing.",
+        "height of the orbital axis over the focal spot (530 mm) are data sheet values of that machine, as DeepDRR has "
+        "them; R = 30 mm and all other lengths are estimates, and so are the shapes, which serve only for drawing.",
         R=0.03,
         beam=0.1576,
         sensor=(0.02, 0.13, 0.69),

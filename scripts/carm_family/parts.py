@@ -8,6 +8,11 @@ Vector = tuple[float, float, float]
 ZERO: Vector = (0, 0, 0)
 X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 QUARTER = pi / 2
+CONVENTIONS = (
+    "Lengths are m, angles rad. Where nothing else is said, the C stands upright at zero and opens along x, the "
+    "detector above; x points to the patient, y to the left, z up. Effort and velocity are placeholders. Written by "
+    "scripts/make_urdf.py."
+)
 
 
 @dataclass(frozen=True)
@@ -83,8 +88,7 @@ def prismatic(joint: str, parent: str, link: str, axis: Vector, limits: tuple[fl
 
 def urdf_text(machine: Machine) -> str:
     """The file. The same machine gives the same text."""
-    units = "Lengths are m, angles rad. Effort and velocity are placeholders. Written by scripts/make_urdf.py."
-    header = "\n\n".join(fill(part, 110) for part in (machine.what, machine.sources, units))
+    header = "\n\n".join(fill(part, 110) for part in (machine.what, machine.sources, CONVENTIONS))
     parts = ['<?xml version="1.0"?>', _comment(header), f'<robot name="{machine.name}">', ""]
     parts += [indent(_link(machine.base, machine.base_shapes), "  "), ""]
     for stage in machine.stages:
