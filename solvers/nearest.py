@@ -96,14 +96,11 @@ def _start(M: Array) -> Array:
 
 
 def _refined(M: Array, angles: Array) -> Array:
-    """Newton steps until none gains more than rounding; where one does not descend, the next is a quarter as long."""
-    share, rounding = np.ones(len(M)), ROUNDING * np.abs(M).sum(axis=(1, 2))
+    """Newton steps until none gains more than rounding."""
+    rounding = ROUNDING * np.abs(M).sum(axis=(1, 2))
     for _ in range(STEPS):
         step, gain = _newton(M, angles)
-        trial = angles + share * step
-        better = _value(M, trial) <= _value(M, angles) + rounding
-        angles = np.where(better, trial, angles)
-        share = np.where(better, np.minimum(2 * share, 1.0), share / 4)
+        angles = angles + step
         if (gain <= rounding).all():
             break
     return angles

@@ -201,6 +201,15 @@ def test_an_isocentric_machine():
     same_angles(near.beta_rad, angles[1000:, 1], 1e-6)
 
 
+def test_where_the_two_solutions_meet():
+    """At the edge of the zone the curvature is 0 as well: the search gets there all the same."""
+    truth, angles = machine(4, 0.0, 0.0), some_angles(3000, 2)
+    q = sensor_in_carm(truth)
+    angles[:, 1] = np.pi / 2 - np.arctan2(q[0], q[2])
+    first, second = RotationCentre(calibrated(truth)).locate_positions(truth.poses(angles)[0])
+    assert max(first.distance_m.max(), second.distance_m.max()) < 1e-6
+
+
 def test_positions_alone_find_the_pose():
     """Where R tells the two solutions apart, away from the circles x = +-b where they meet."""
     truth, angles = machine(6, 0.1, 0.01), some_angles(200, 6)
