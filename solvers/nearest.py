@@ -96,12 +96,13 @@ def _start(M: Array) -> Array:
 
 
 def _refined(M: Array, angles: Array) -> Array:
-    """Newton steps until none gains more than rounding."""
-    rounding = ROUNDING * np.abs(M).sum(axis=(1, 2))
+    """Newton steps of each pose until one gains no more than rounding."""
+    rounding, left, angles = ROUNDING * np.abs(M).sum(axis=(1, 2)), np.arange(len(M)), angles.copy()
     for _ in range(STEPS):
-        step, gain = _newton(M, angles)
-        angles = angles + step
-        if (gain <= rounding).all():
+        step, gain = _newton(M[left], angles[:, left])
+        angles[:, left] += step
+        left = left[gain > rounding[left]]
+        if not left.size:
             break
     return angles
 
