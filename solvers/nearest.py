@@ -17,10 +17,10 @@ from solvers.torus import Torus
 
 GRID = 144
 """Values of alpha from which the best is taken."""
-STEPS = 50
+STEPS = 80
 """Most steps from there."""
-SETTLED_RAD = 1e-12
-"""A shorter step ends them."""
+ROUNDING = 1e-14
+"""What rounding makes of a value, as a share of the terms that it is the sum of."""
 
 
 def nearest(torus: Torus, problem: Problem, sigma: tuple[float, float]) -> Array:
@@ -96,11 +96,13 @@ def _start(M: Array) -> Array:
 
 
 def _refined(M: Array, angles: Array) -> Array:
-    """Newton steps; where one of them would not descend, the best beta and then the best alpha."""
+    """Newton steps of each pose until one gains no more than rounding."""
+    rounding, left, angles = ROUNDING * np.abs(M).sum(axis=(1, 2)), np.arange(len(M)), angles.copy()
     for _ in range(STEPS):
-        before, trial = angles, _newton(M, angles)
-        angles = np.where(_value(M, trial) <= _value(M, before), trial, _alternated(M, before))
-        if np.abs(np.sin(angles - before)).max(initial=0.0) < SETTLED_RAD:
+        step, gain = _newton(M[left], angles[:, left])
+        angles[:, left] += step
+        left = left[gain > rounding[left]]
+        if not left.size:
             break
     return angles
 
@@ -114,20 +116,20 @@ def _best(v: Array) -> Array:
     return np.arctan2(-v[:, 2], -v[:, 1])
 
 
-def _alternated(M: Array, angles: Array) -> Array:
-    beta = _best((np.swapaxes(M, 1, 2) @ _u(angles[0]))[:, :, 0])
-    return np.stack([_best((M @ _u(beta))[:, :, 0]), beta])
-
-
-def _newton(M: Array, angles: Array) -> Array:
-    """One step; none where the second derivative is singular."""
+def _newton(M: Array, angles: Array) -> tuple[Array, Array]:
+    """The step (2, N) and what it gains (N,), downhill where the curvature is negative as well, so that it leaves a
+    saddle."""
     sine, cosine = np.sin(angles), np.cos(angles)
     zero, one = np.zeros_like(sine), np.ones_like(sine)
     u, d, dd = (np.stack(x, axis=1) for x in ((one, cosine, sine), (zero, -sine, cosine), (zero, -cosine, -sine)))
-    a, b, c, g, h = (
-        np.einsum("jn,njk,kn->n", left, M, right)
-        for left, right in ((dd[0], u[1]), (d[0], d[1]), (u[0], dd[1]), (d[0], u[1]), (u[0], d[1]))
-    )
-    determinant = a * c - b * b
-    scale = np.divide(-1.0, determinant, out=np.zeros_like(a), where=determinant != 0)
-    return angles + scale * np.stack([c * g - b * h, a * h - b * g])
+    g = np.stack([_between(d[0], M, u[1]), _between(u[0], M, d[1])], axis=1)
+    mixed = _between(d[0], M, d[1])
+    H = np.stack([_between(dd[0], M, u[1]), mixed, mixed, _between(u[0], M, dd[1])], axis=1).reshape(-1, 2, 2)
+    curvature, V = np.linalg.eigh(H)
+    along = np.einsum("nji,nj->ni", V, g) / np.maximum(np.abs(curvature), np.finfo(float).tiny)
+    step = -np.einsum("nij,nj->in", V, along)
+    return step, -(g.T * step).sum(axis=0)
+
+
+def _between(left: Array, M: Array, right: Array) -> Array:
+    return np.einsum("jn,njk,kn->n", left, M, right)

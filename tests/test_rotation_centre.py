@@ -178,6 +178,38 @@ def test_the_second_solution_of_a_position(seed, R):
     assert first.distance_rad is None
 
 
+def test_an_isocentric_machine():
+    """The zone |x| <= b of a sphere: the distance of a position is known in closed form, also where the two solutions
+    meet at its edges, and the orientation chooses between them, however poor it is."""
+    truth, angles = machine(3, 0.0, 0.0), some_angles(3000, 1)
+    q = sensor_in_carm(truth)
+    angles[:1000, 1] = np.pi / 2 - np.arctan2(q[0], q[2]) + 1e-4 * np.random.default_rng(1).normal(size=1000)
+    T = stacked(*truth.poses(angles))
+    p = disturbed(T, *SIGMA)[:, :3, 3]
+    centre = RotationCentre(calibrated(truth), sigma_t_m=1e-4, sigma_r_rad=0.1)
+    from_centre = p - truth.center[0]
+    x, radius = from_centre @ truth.n[0], np.linalg.norm(from_centre, axis=1)
+    edge = np.hypot(np.abs(x) - truth.b, np.linalg.norm(np.cross(from_centre, truth.n[0]), axis=1) - abs(q[1]))
+    within = np.abs(x) * np.linalg.norm(q) / radius < truth.b
+    expected = np.where(within, np.abs(radius - np.linalg.norm(q)), edge)
+    assert 300 < (~within).sum() < 700
+    first, second = centre.locate_positions(p)
+    np.testing.assert_allclose(first.distance_m, expected, atol=1e-9)
+    np.testing.assert_allclose(second.distance_m[within], expected[within], atol=1e-6)
+    near = centre.locate(T[1000:]).nearest
+    same_angles(near.alpha_rad, angles[1000:, 0], 1e-6)
+    same_angles(near.beta_rad, angles[1000:, 1], 1e-6)
+
+
+def test_where_the_two_solutions_meet():
+    """At the edge of the zone the curvature is 0 as well: the search gets there all the same."""
+    truth, angles = machine(4, 0.0, 0.0), some_angles(3000, 2)
+    q = sensor_in_carm(truth)
+    angles[:, 1] = np.pi / 2 - np.arctan2(q[0], q[2])
+    first, second = RotationCentre(calibrated(truth)).locate_positions(truth.poses(angles)[0])
+    assert max(first.distance_m.max(), second.distance_m.max()) < 1e-6
+
+
 def test_positions_alone_find_the_pose():
     """Where R tells the two solutions apart, away from the circles x = +-b where they meet."""
     truth, angles = machine(6, 0.1, 0.01), some_angles(200, 6)
@@ -194,7 +226,7 @@ def test_sigmas_are_those_of_the_noise(R, sigma):
     """Standard deviations of 4000 draws: 1.1% uncertain themselves; bound at 5 of these. Where the positions tell the
     angles, the two are correlated."""
     truth = machine(7, R, 0.01)
-    p, R_world_sensor = truth.poses(np.array([[0.4, 0.9]]))
+    p, R_world_sensor = truth.poses(np.array([[-1.0216, 1.7306]]))
     pivot = p[0] + R_world_sensor[0] @ truth.offset
     T = disturbed(np.repeat(stacked(p, R_world_sensor), 4000, axis=0), *sigma)
     found = RotationCentre(calibrated(truth), sigma_t_m=sigma[0], sigma_r_rad=sigma[1]).locate(T)
