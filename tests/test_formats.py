@@ -99,11 +99,11 @@ def test_a_file_cut_anywhere_loses_no_frame_in_silence(kind, tmp_path):
             assert_poses(recording, recording.pose_number) if content.endswith(b"\n") else None
 
 
-@pytest.mark.parametrize("kind", ["plus", "nrrd", "motive"])
+@pytest.mark.parametrize("kind", ["plus", "nrrd", "motive", "tfm"])
 def test_what_the_header_announces_and_the_file_lacks_is_counted(kind, tmp_path):
     sample = MAKERS[kind]()
     lines = sample.content.split(b"\n")
-    last = {"plus": -8, "nrrd": -8, "motive": -3}[kind]
+    last = {"plus": -8, "nrrd": -8, "motive": -3, "tfm": -2}[kind]
     recording = read(written(sample, tmp_path, b"\n".join(lines[:last]) + b"\n"), sample)
     (intake,) = recording.intakes
     assert len(recording) < N == intake.frames

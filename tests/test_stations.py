@@ -125,6 +125,12 @@ def test_a_stop_of_few_frames_counts_less():
     scaled = refitted(problem, estimate, (sigma**2).T)
     assert np.allclose(scaled.scale[:, 0] / scaled.scale[:, 1], 10, rtol=0.5)
     assert np.allclose((scaled.scale**2).mean(axis=1), 1)
+    alike, weighed = (
+        carm_kin.calibrate(Recording(p, R, variance=v), reject_outliers=False) for v in (None, (sigma**2).T)
+    )
+    gain = alike.sigma.offset_sensor_pivot_m / weighed.sigma.offset_sensor_pivot_m
+    assert (gain > 2).all()
+    assert (np.abs(weighed.offset_sensor_pivot_m - OFFSET) < 4 * weighed.sigma.offset_sensor_pivot_m).all()
 
 
 def test_the_scale_is_that_of_the_covariance_in_the_normal_equations():

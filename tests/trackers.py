@@ -43,8 +43,8 @@ class Sample:
     """The columns have no names and cannot be exchanged."""
 
     def frames_in(self, content: bytes) -> int:
-        """Lines of frames that end with a line break; 0 where frames are no lines."""
-        return 0 if self.header is None else max(0, content.count(b"\n") - self.header)
+        """Lines of frames, the last one perhaps cut; 0 where frames are no lines."""
+        return 0 if self.header is None else max(0, len(content.splitlines()) - self.header)
 
 
 def table(header: str, rows: np.ndarray, delimiter: str = ",", before: str = "") -> bytes:
