@@ -53,7 +53,7 @@ def test_outliers_are_left_out(share):
 
 def test_a_base_seen_by_one_sensor_only_follows_from_the_others():
     """Base 1 is seen by sensor 1 alone, which base 0 links to sensor 0; base 1 turns about one axis."""
-    X, Y, F, T, p, s = data(6, 60, 2, 2)
+    X, Y, F, _, p, s = data(6, 60, 2, 2)
     s = np.where(p == 1, 1, s)
     F[p == 1] = F[0] @ np.stack([rigid(np.array([0, 0, 0, 0, 0, a])) for a in np.linspace(0, 1, (p == 1).sum())])
     found = solve(X[p] @ F @ Y[s], F, p, s, X, Y)
