@@ -34,6 +34,11 @@ class FreeJoints:
     zeros: tuple[str, ...] = (NONE,)
     gains: tuple[str, ...] = (NONE,)
 
+    def in_words(self) -> dict[str, str]:
+        """As the options of the command have it."""
+        groups = {"free": self.placements, "zeros": self.zeros, "gains": self.gains}
+        return {name: ",".join(joints) for name, joints in groups.items()}
+
 
 NOTHING = FreeJoints((NONE,), (NONE,), (NONE,))
 
@@ -76,7 +81,7 @@ def calibrate_chain(
     _check_noise(sigma)
     recorded = Recorded(parts, tuple(_repeated(part, model) for part in parts))
     gathered = gather(recorded.kept, model, sigma)
-    blank = Blank(recorded, asdict(chosen) | asdict(free), command)
+    blank = Blank(recorded, asdict(chosen) | free.in_words(), command)
     if len(gathered.problem) < limits.min_poses:
         words = f"{len(gathered.problem)} poses; at least {limits.min_poses} are needed"
         return blank.refused(Note("too_few_poses", words), gathered.notes)

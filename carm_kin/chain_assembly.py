@@ -143,7 +143,7 @@ def result_of_chain(
     at = numbers.stations(problem, estimate, len(labels))
     covariance = numbers.covariance(model, estimate, at)
     left = checks.unfreed(model, problem, estimate)
-    refusal = checks.refusal(problem, estimate, covariance, left, limits)
+    refusal = checks.refusal(model, problem, estimate, covariance, left, limits)
     used = int(estimate.used.sum())
     error = _error(estimate.residual, estimate.used)
     still = problem.still & (free.placements | free.offsets | free.gains)

@@ -15,11 +15,15 @@ from solvers.residuals import correlated
 
 WEAK_M, WEAK_RAD = 5e-3, float(np.radians(0.5))
 """A joint's number that is estimated to no better than this (one sigma) is warned of."""
+OTHER_RAD = float(np.radians(30.0))
+"""A joint's origin that would have to turn by more than this is no calibration of the same machine."""
 FAR_M, FAR_RAD = 0.05, float(np.radians(5.0))
 """A joint's origin that changes by more than this is warned of."""
 KINDS_IN_WORDS = ("positions", "orientations", "angle readings", "length readings")
 MOSTLY = 0.5
 """Share above which the prior, or what was not free, counts as the greater part."""
+COMPONENT = 0.3
+"""Component of a unit vector from which on it counts as a part of the direction."""
 LEFT_OUT_PROBABILITY = 1e-6
 """Probability of saying of sound numbers of the URDF that they should have been free."""
 
@@ -35,11 +39,17 @@ def unfreed(model: ChainModel, problem: ChainProblem, estimate: ChainEstimate) -
 
 
 def refusal(
-    problem: ChainProblem, estimate: ChainEstimate, covariance: Covariance, left: LeftOut | None, limits: Limits
+    model: ChainModel,
+    problem: ChainProblem,
+    estimate: ChainEstimate,
+    covariance: Covariance,
+    left: LeftOut | None,
+    limits: Limits,
 ) -> Note | None:
     """Why the estimate is not given."""
     return (
         _misfit(problem, estimate, limits)
+        or _other_machine(joint_changes(model, estimate))
         or _systematic(left)
         or _too_many_rejected(estimate, limits)
         or _not_converged(estimate)
@@ -68,6 +78,18 @@ def _misfit(problem: ChainProblem, estimate: ChainEstimate, limits: Limits) -> N
         words = f"residuals exceed the given noise: chi-square per degree of freedom {estimate.chi2_per_dof:.1f}"
         return Note("misfit", words)
     return None
+
+
+def _other_machine(changes: tuple[JointChange, ...]) -> Note | None:
+    turns = {change.joint: float(np.linalg.norm(change.turn_rad)) for change in changes}
+    joint = max(turns, key=lambda name: turns[name], default="")
+    if not joint or turns[joint] < OTHER_RAD:
+        return None
+    words = (
+        f"the origin of {joint} would have to turn by {np.degrees(turns[joint]):.0f} deg: do its readings count the "
+        "other way, or is it the URDF of another machine?"
+    )
+    return Note("misfit", words)
 
 
 def _systematic(left: LeftOut | None) -> Note | None:
@@ -142,10 +164,18 @@ def _notes_on_joints(changes: tuple[JointChange, ...]) -> list[Note]:
 
 
 def _by_prior(model: ChainModel, estimate: ChainEstimate) -> list[str]:
-    """The joints' estimated numbers of which the prior says more than the poses, each as ``joint (x, rz)``."""
-    mostly, layout, found = estimate.active & (estimate.by_prior > MOSTLY), estimate.layout, []
+    """The joints' numbers in the directions of which the prior says more than the poses, each as ``joint (x, rz)``.
+
+    With every number in units of its prior's sigma the covariance has eigenvalues up to 1: the prior's share.
+    """
+    known = np.flatnonzero(estimate.active & (estimate.precision > 0))
+    scale = np.sqrt(estimate.precision[known])
+    shares, directions = np.linalg.eigh(estimate.covariance[np.ix_(known, known)] * np.outer(scale, scale))
+    told = np.zeros(len(estimate.active), dtype=bool)
+    told[known] = (np.abs(directions[:, shares > MOSTLY]) > COMPONENT).any(axis=1)
+    layout, found = estimate.layout, []
     for j, name in enumerate(model.names):
         own = [*layout.placement(j), layout.offset(j)]
-        parts = [part for part, i in zip((*DIRECTIONS, "zero"), own, strict=True) if mostly[i]]
+        parts = [part for part, i in zip((*DIRECTIONS, "zero"), own, strict=True) if told[i]]
         found += [f"{name} ({', '.join(parts)})"] if parts else []
     return found

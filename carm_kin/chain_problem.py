@@ -81,10 +81,12 @@ def _one(recording: Recording, model: ChainModel, number: int, of: int) -> _Part
     if unknown:
         problem = f"names the joint {unknown[0]!r}, which the chain does not have; it has {listing(model.names)}"
         raise InputError(problem, file=file)
-    for name in mentioned & set(recording.joints):
-        if (name in recording.prismatic) != bool(model.machine.prismatic[model.names.index(name)]):
-            unit = "deg" if name in recording.prismatic else "mm"
-            raise InputError(f"joint {name!r} is measured in {unit}", file=file, column=f"q_{name}_{unit}")
+    for name in sorted(mentioned & set(recording.joints)):
+        slides = bool(model.machine.prismatic[model.names.index(name)])
+        if slides != (name in recording.prismatic):
+            units = ("deg", "mm") if slides else ("mm", "deg")
+            problem = f"joint {name!r} {'slides' if slides else 'turns'}: its column is q_{name}_{units[1]}"
+            raise InputError(problem, file=file, column=f"q_{name}_{units[0]}")
     sensor = sensor_numbers(recording, model.sensor_links)
     n, J = len(recording), len(model.names)
     held, label = np.full((n, J), -1), np.full((n, J), np.nan)

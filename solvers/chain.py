@@ -22,6 +22,8 @@ from solvers.se3 import Array, exp_se3
 
 SETTLING = 3
 """Steps before outliers are told from the noise."""
+LEAST_BELIEVED = 0.2
+"""A noise that explains a smaller share of the poses tells nothing of them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,9 +72,8 @@ class ChainEstimate:
     """(D,) mask of the unknowns that were estimated."""
     covariance: Array
     """(D, D) of the right perturbations, offsets, gains and constants; 0 where they were not estimated."""
-    by_prior: Array
-    """(D,) the share of the nominal number in what is known of each unknown: 0 without a prior, 1 where the poses tell
-    nothing."""
+    precision: Array
+    """(D,) 1 / variance of what was known of each unknown beforehand, 0 without a prior."""
     dependent: tuple[Dependence, ...]
     """What was set free and stays at its nominal value, since the poses do not tell it from others."""
     residual: Array
@@ -158,9 +159,10 @@ def _with_prior(state: _State, nominal: Nominal) -> tuple[Array, Array]:
 
 
 def _believed(problem: ChainProblem, state: _State) -> np.ndarray:
-    """(N,) mask of the poses that the noise explains."""
+    """(N,) mask of the poses that the noise explains; as before where it explains hardly any."""
     dof = np.maximum(6 + problem.read.sum(axis=1) - problem.free.sum(axis=1), 1)
-    return state.at.distance2 <= chdtri(dof, OUTLIER_PROBABILITY)
+    found = state.at.distance2 <= chdtri(dof, OUTLIER_PROBABILITY)
+    return found if found.mean() > LEAST_BELIEVED else state.used
 
 
 def _stepped(
@@ -197,7 +199,7 @@ def _estimate(
         layout=layout,
         active=choice.active,
         covariance=C,
-        by_prior=nominal.precision * np.diagonal(C),
+        precision=nominal.precision,
         dependent=choice.dependent,
         residual=residuals(state.machine, values, problem),
         distance2=state.at.distance2,

@@ -13,7 +13,14 @@ from scipy.spatial.transform import Rotation
 from simulated import frame, rigid
 
 from carm_kin.recording import Recording
+from carm_kin.urdf import UrdfFile, parse_urdf
 
+SHIFT, TURN = 3e-3, np.radians(0.5)
+SIGMA_T, SIGMA_R = 0.25e-3, np.radians(0.1)
+ARM_JOINTS = [f"j{k}" for k in range(1, 7)]
+ARM_AXES = {"sensor_link": "tool", "angular": "j1", "orbital": "j2"}
+LIFTS = (0.0, 0.15, 0.3)
+C_JOINTS = ("angular", "orbital", "lift")
 C_ARM = """<?xml version="1.0"?>
 <!-- a lift, a C-arm of two skew axes, a sensor -->
 <robot name="small">
@@ -64,6 +71,52 @@ def arm(joints: int = 6) -> str:
     return f'<robot name="arm">{"".join(parts)}</robot>'
 
 
+BIPLANE = """<robot name="biplane">
+  <link name="room"/>
+  <joint name="rail" type="prismatic"><parent link="room"/><child link="table"/>
+    <origin xyz="0 0 1"/><axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <link name="table"/>
+  <joint name="f_angular" type="revolute"><parent link="table"/><child link="f1"/>
+    <origin xyz="0 0.1 0" rpy="0 0.1 0"/><axis xyz="1 0 0"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <link name="f1"/>
+  <joint name="f_orbital" type="revolute"><parent link="f1"/><child link="f2"/>
+    <origin xyz="0.5 0 0.1"/><axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <link name="f2"/>
+  <joint name="f_mount" type="fixed"><parent link="f2"/><child link="frontal"/><origin xyz="0 0 0.6"/></joint>
+  <link name="frontal"/>
+  <joint name="l_angular" type="revolute"><parent link="table"/><child link="l1"/>
+    <origin xyz="-0.6 0 0.3" rpy="0 0 0.2"/><axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <link name="l1"/>
+  <joint name="l_orbital" type="revolute"><parent link="l1"/><child link="l2"/>
+    <origin xyz="0.1 0.2 0"/><axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <link name="l2"/>
+  <joint name="l_mount" type="fixed"><parent link="l2"/><child link="lateral"/>
+    <origin xyz="0.5 0 0" rpy="1 0 0"/></joint>
+  <link name="lateral"/>
+</robot>
+"""
+PLANAR = """<robot name="planar">
+  <link name="floor"/>
+  <joint name="cart" type="planar"><parent link="floor"/><child link="cart"/><origin xyz="0 0 0.1" rpy="0 0 0.2"/>
+    <axis xyz="0 0 1"/></joint>
+  <link name="cart"/>
+  <joint name="angular" type="continuous"><parent link="cart"/><child link="swivel"/><origin xyz="0.3 0 1"/>
+    <axis xyz="1 0 0"/></joint>
+  <link name="swivel"/>
+  <joint name="orbital" type="continuous"><parent link="swivel"/><child link="c"/><origin xyz="0.6 0 0.1"/>
+    <axis xyz="0 1 0"/></joint>
+  <link name="c"/>
+</robot>
+"""
+
+
+def parsed(text: str, name: str = "machine.urdf") -> UrdfFile:
+    """The URDF of a text."""
+    return parse_urdf(text.encode(), Path(name))
+
+
 def numbers(text: str | None, default: str) -> np.ndarray:
     return np.array([float(x) for x in (text or default).split()])
 
@@ -95,6 +148,9 @@ def kinematics(text: str, link: str, q: Mapping[str, np.ndarray]) -> np.ndarray:
         T = T @ origin(joint)
         if joint.get("type") == "fixed":
             continue
+        if joint.get("type") == "planar":
+            T = T @ _planar(joint.get("name"), q, n)
+            continue
         found = joint.find("axis")
         axis = numbers(None if found is None else found.get("xyz"), "1 0 0")
         along = axis / np.linalg.norm(axis) * np.broadcast_to(q.get(joint.get("name"), 0.0), n)[:, None]
@@ -105,6 +161,15 @@ def kinematics(text: str, link: str, q: Mapping[str, np.ndarray]) -> np.ndarray:
             motion[:, :3, :3] = Rotation.from_rotvec(along).as_matrix()
         T = T @ motion
     return T
+
+
+def _planar(name: str, q: Mapping[str, np.ndarray], n: int) -> np.ndarray:
+    """(N, 4, 4) of a planar joint whose axis is z."""
+    x, y, yaw = (np.broadcast_to(q.get(f"{name}_{part}", 0.0), n) for part in ("x", "y", "yaw"))
+    motion = np.tile(np.eye(4), (n, 1, 1))
+    motion[:, :3, :3] = Rotation.from_rotvec(np.multiply.outer(yaw, [0, 0, 1])).as_matrix()
+    motion[:, 0, 3], motion[:, 1, 3] = x, y
+    return motion
 
 
 def perturbed(text: str, shift_m: float, turn_rad: float, seed: int = 0, joints: Sequence[str] | None = None) -> str:
@@ -214,3 +279,40 @@ def stand(seed: int = 0, spread: float = 1.0) -> np.ndarray:
 def written(path: Path, text: str) -> Path:
     path.write_text(text, encoding="utf-8")
     return path
+
+
+def arm_recording(seed: int, n: int = 100, outliers: float = 0.0, sigma_q: float = 0.0, noise: bool = True):
+    """The true arm, its base, the recording with all joints read, and which poses are wrong."""
+    text, base, q = perturbed(arm(), SHIFT, TURN, seed), stand(seed), random_values(ARM_JOINTS, n, seed)
+    T = noisy(base @ kinematics(text, "tool", q), SIGMA_T * noise, SIGMA_R * noise, seed)
+    T, gross = grossly(T, outliers, seed)
+    rng = np.random.default_rng([seed, 51])
+    read = {name: values + sigma_q * rng.normal(size=n) for name, values in q.items()}
+    return text, base, recorded(T, joints=read), gross
+
+
+def c_arm_recording(seed: int, held=(), moving=(), lifts=(0.0,), *, outliers=0.0, sigma_q=0.0, labels=True, noise=1.0):
+    """The true C-arm, its base, the recording of sweeps, and which poses are wrong."""
+    truth, swept, base = perturbed(C_ARM, SHIFT, TURN, seed), c_arm_sweeps(lifts=lifts), stand(seed)
+    T = noisy(base @ kinematics(truth, "sensor", swept.q), noise * SIGMA_T, noise * SIGMA_R, seed)
+    T, gross = grossly(T, outliers, seed)
+    told = disturbed_readings(swept, swept.told(held, moving), sigma_q, seed)
+    sweeps = {"sweep": swept.sweep, "moving": swept.moving} if labels else {}
+    return truth, base, recorded(T, joints=told, prismatic=frozenset({"lift"} & told.keys()), **sweeps), gross
+
+
+def disturbed_readings(swept: Swept, told: dict[str, np.ndarray], sigma: float, seed: int) -> dict[str, np.ndarray]:
+    """The readings of moving joints with noise."""
+    rng = np.random.default_rng([seed, 52])
+    return {name: v + (swept.moving == name) * sigma * rng.normal(size=len(v)) for name, v in told.items()}
+
+
+def poses_of(recording) -> np.ndarray:
+    T = np.tile(np.eye(4), (len(recording), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = recording.R_world_sensor, recording.p_world_sensor
+    return T
+
+
+def codes(result) -> set[str]:
+    """Of the warnings of a result."""
+    return {warning.code for warning in result.warnings}
