@@ -176,14 +176,13 @@ def test_a_cluster_outlives_one_of_its_two_workers_and_not_both(tmp_path):
     from carm_kin.cluster import ClusterWorkers
 
     with cluster(tmp_path) as running:
-        workers = ClusterWorkers(running.address, patience_s=3)
         jobs = [Job(str(i), work.slow_square, (i, 0.05)) for i in range(40)]
         values = []
-        for outcome in run(jobs, workers):
+        for outcome in run(jobs, ClusterWorkers(running.address)):
             values.append(outcome.value)
             if len(values) == 5:
                 end(running.workers[0])
         assert sorted(values) == [i * i for i in range(40)]
         end(running.workers[1])
         with pytest.raises(WorkersLostError, match="no worker for 3 s"):
-            list(run(squares(2), workers))
+            list(run(squares(2), ClusterWorkers(running.address, patience_s=3)))
