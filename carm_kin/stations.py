@@ -31,7 +31,7 @@ WIDE = 3.0
 """A rest that spans more than this many times what shows motion is a slow motion."""
 UNCORRELATED = 0.05
 """Correlations are summed until the first below this."""
-IN_MOTION = "in motion"
+OUTSIDE = "not in a stop of the C"
 
 
 def at_stations(recording: Recording) -> Recording:
@@ -53,7 +53,7 @@ def at_stations(recording: Recording) -> Recording:
     averaged = _averaged(recording, kept, kept[first], number)
     intakes = list(recording.intakes)
     if intakes:
-        dropped = (*intakes[-1].dropped, Dropped(IN_MOTION, len(recording) - len(kept)))
+        dropped = (*intakes[-1].dropped, Dropped(OUTSIDE, len(recording) - len(kept)))
         less = intakes[-1].kept - len(recording) + len(kept)
         intakes[-1] = replace(intakes[-1], kept=less, dropped=dropped, stations=len(first))
     return replace(averaged, intakes=tuple(intakes))

@@ -416,5 +416,5 @@ def test_every_format_has_a_page_and_what_it_shows_is_read(name, tmp_path):
 
 def test_every_reason_is_in_the_documentation():
     text = (PAGES / "README.md").read_text(encoding="utf-8")
-    reasons = (ingest.REPEATED, ingest.CUT_OFF, stations.IN_MOTION, session_recording.OUTSIDE, ros.GAP)
+    reasons = (ingest.REPEATED, ingest.CUT_OFF, stations.OUTSIDE, session_recording.OUTSIDE, ros.GAP)
     assert [reason for reason in reasons if f"`{reason}`" not in text] == []

@@ -190,7 +190,7 @@ def test_the_command_averages_and_counts(tmp_path, capsys):
     ended = run(capsys, "calibrate", tmp_path / "rec.igs.mha", "--stations")
     assert ended.status == 0
     assert f"{STOPS} of {STOPS} poses" in ended.err
-    assert "in motion" in ended.err
+    assert "not in a stop of the C" in ended.err
     assert ["stations", str(STOPS)] in [line.split() for line in ended.err.splitlines()]
     ended = run(capsys, "convert", tmp_path / "rec.igs.mha", "-o", tmp_path / "rec.csv", "--stations")
     again, whole = read_recording(tmp_path / "rec.csv"), at_stations(read_recording(tmp_path / "rec.igs.mha"))
