@@ -189,21 +189,21 @@ def calibrate(
     settings: dict[str, Any] = {
         "sigma_t_m": above_zero("--sigma-t-mm", sigma_t_mm, 1e-3),
         "sigma_r_rad": above_zero("--sigma-r-deg", sigma_r_deg, radians(1)),
-        **options(option or []),
     }
-    command = command_line(sys.argv[1:])
+    more, command = options(option or []), command_line(sys.argv[1:])
     if solver == "chain" or (urdf and solver is None and locus == "circle"):
         if urdf is None or locus != "circle":
             raise InputError("the solver 'chain' needs --urdf, and the locus 'circle'")
         settings |= {"angular": angular, "orbital": orbital, "sensor_link": sensor_link}
-        result = calibrate_with(chain, recordings, urdf, folds=cross_validate, command=command, **settings)
+        settings |= {"folds": cross_validate, "command": command}
+        result = calibrate_with(chain, recordings, urdf, settings, more)
     else:
         if chain.given or len(recordings) > 1:
             what = ", ".join(chain.given) or "several recordings"
             raise InputError(f"{what}: needs the calibration of a chain, --urdf without another --solver")
         poses = recordings[0]
         joints = joint_names(poses, urdf, sensor_link, angular, orbital)
-        settings |= {"locus": locus, "angular": joints[0], "orbital": joints[1]}
+        settings |= {"locus": locus, "angular": joints[0], "orbital": joints[1], **more}
         result = carm_kin.calibrate(poses, solver, command=command, **settings)
         if cross_validate is not None and result.refusal is None:
             from carm_kin.cross_validate import cross_validate as held_out
