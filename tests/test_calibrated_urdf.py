@@ -99,9 +99,13 @@ def test_every_byte_outside_of_changed_origins_stays(newline, bom):
 
 def test_a_joint_without_an_origin_gets_one():
     text = C_ARM.replace('<origin xyz="0.4 0 0.1"/>', "")
-    truth, base, q = perturbed(text, 3e-3, 8e-3, 2), stand(2), random_values(["angular", "orbital"], 60, 2)
-    recording = recorded(base @ kinematics(truth, "sensor", q), joints=q)
-    result = calibrate_chain(recording, parsed(text), free=FreeJoints(("angular",)), sigma_reading_rad=0.0)
+    assert text != C_ARM
+    q = random_values(["angular", "orbital"], 60, 2) | {"lift": np.linspace(0, 0.3, 60)}
+    truth, base = perturbed(text, 3e-3, 8e-3, 2, ["angular"]), stand(2)
+    recording = recorded(base @ kinematics(truth, "sensor", q), joints=q, prismatic=frozenset({"lift"}))
+    exact = {"sigma_reading_rad": 0.0, "sigma_reading_m": 0.0}
+    result = calibrate_chain(recording, parsed(text), free=FreeJoints(("angular",)), **exact)
+    assert result.refusal is None
     after = calibrated_urdf(parsed(text), result.chain).data.decode()
     assert len(ORIGIN.findall(after)) == len(ORIGIN.findall(text)) + 1
     assert ORIGIN.search(after.split('name="angular"')[1].split("</joint>")[0])
