@@ -61,16 +61,16 @@ def calibrate(
         "sigma_t_m": above_zero("--sigma-t-mm", sigma_t_mm, 1e-3),
         "sigma_r_rad": above_zero("--sigma-r-deg", sigma_r_deg, radians(1)),
         "command": command_line(sys.argv[1:]),
-        **options(option or []),
     }
+    more = options(option or [])
     if solver == "chain" or (urdf and solver is None and locus == "circle"):
         if urdf is None or locus != "circle":
             raise InputError("the solver 'chain' needs --urdf, and the locus 'circle'")
-        settings |= {"angular": angular, "orbital": orbital, "sensor_link": sensor_link}
-        result = calibrate_with(chain, recordings, urdf, folds=cross_validate, **settings)
+        settings |= {"angular": angular, "orbital": orbital, "sensor_link": sensor_link, "folds": cross_validate}
+        result = calibrate_with(chain, recordings, urdf, settings, more)
     else:
         joints = joint_names(_only_one(recordings, chain), urdf, sensor_link, angular, orbital)
-        settings |= {"locus": locus, "angular": joints[0], "orbital": joints[1]}
+        settings |= {"locus": locus, "angular": joints[0], "orbital": joints[1], **more}
         result = _two_axes(recordings[0], solver, cross_validate, settings)
     deliver(result, as_json)
     summary.show(result, Stderr())

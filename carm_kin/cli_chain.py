@@ -1,6 +1,6 @@
 """The options of `carm-kin calibrate` that belong to the calibration of a URDF's whole chain, and its run."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, radians
 from pathlib import Path
@@ -69,24 +69,34 @@ def chain_options(
 
 
 def calibrate_with(
-    chain: ChainOptions, recordings: Sequence[Recording], urdf: str, **settings: Any
+    chain: ChainOptions,
+    recordings: Sequence[Recording],
+    urdf: str,
+    settings: Mapping[str, Any],
+    options: Mapping[str, Any],
 ) -> CalibrationResult:
-    """The result of the chain's calibration; the calibrated URDF is written where it was asked for and not refused."""
+    """The result of the chain's calibration; the calibrated URDF is written where it was asked for and not refused.
+
+    ``settings`` are those of the command itself and ``options`` those of ``--option``. Raises InputError where an
+    option is no option of the solver, or an option of the command as well.
+    """
     from carm_kin.calibrate_chain import FreeJoints, calibrate_chain
     from carm_kin.calibrated_urdf import calibrated_urdf
     from carm_kin.urdf import read_urdf, write_urdf
 
     file = read_urdf(urdf)
     priors = {name: value for name in ("prior_t", "prior_r") if (value := getattr(chain, name)) is not None}
-    result = calibrate_chain(
-        recordings,
-        file,
-        free=FreeJoints(chain.free, chain.zeros, chain.gains),
-        sigma_reading_rad=chain.sigma_reading_rad,
-        sigma_reading_m=chain.sigma_reading_m,
+    own = {
+        "free": FreeJoints(chain.free, chain.zeros, chain.gains),
+        "sigma_reading_rad": chain.sigma_reading_rad,
+        "sigma_reading_m": chain.sigma_reading_m,
         **priors,
         **settings,
-    )
+    }
+    for name in options:
+        if name in {"recordings", "urdf", *own}:
+            raise InputError(f"--option '{name}' is an option of the command itself (see carm-kin calibrate --help)")
+    result = calibrate_chain(recordings, file, **own, **options)
     if chain.urdf_out and result.chain:
         write_urdf(calibrated_urdf(file, result.chain), chain.urdf_out)
     return result

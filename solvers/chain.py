@@ -15,7 +15,7 @@ from solvers.chain_equations import Reduced, factors, normal_equations
 from solvers.chain_noise import first_sigma, next_sigma, redundancy
 from solvers.chain_problem import ChainProblem, Layout
 from solvers.identifiable import Dependence, Identifiable, identifiable
-from solvers.kinematic import OUTLIER_PROBABILITY
+from solvers.kinematic import OUTLIER_PROBABILITY, SIGMA_FLOOR
 from solvers.machine import Machine, pose_residual
 from solvers.nominal import Nominal
 from solvers.se3 import Array, exp_se3
@@ -46,9 +46,9 @@ class Free:
 class Options:
     """Options of the chain solver."""
 
-    prior_t: float | None = None
+    prior_t: float | None = field(default=None, metadata={"min": SIGMA_FLOOR})
     """One sigma of the nominal positions of the joints, m; None: nothing is known of them beforehand."""
-    prior_r: float | None = None
+    prior_r: float | None = field(default=None, metadata={"min": SIGMA_FLOOR})
     """One sigma of the nominal directions of the joints and of their zeros, rad."""
     reject_outliers: bool = True
     """Give no weight to poses that the noise does not explain."""

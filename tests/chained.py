@@ -132,7 +132,7 @@ def origin(joint: ElementTree.Element) -> np.ndarray:
 
 def path_to(text: str, link: str) -> list[ElementTree.Element]:
     """The joints from the root to a link."""
-    by_child = {joint.find("child").get("link"): joint for joint in ElementTree.fromstring(text).iter("joint")}
+    by_child = {joint.find("child").get("link"): joint for joint in ElementTree.fromstring(text).findall("joint")}
     found = []
     while link in by_child:
         found.insert(0, by_child[link])
@@ -175,7 +175,7 @@ def _planar(name: str, q: Mapping[str, np.ndarray], n: int) -> np.ndarray:
 def perturbed(text: str, shift_m: float, turn_rad: float, seed: int = 0, joints: Sequence[str] | None = None) -> str:
     """The URDF with the origins of the ``joints`` (default: all) moved and turned by so much in random directions."""
     rng, root = np.random.default_rng([seed, 21]), ElementTree.fromstring(text)
-    for joint in root.iter("joint"):
+    for joint in root.findall("joint"):
         v, w = rng.normal(size=(2, 3))
         if joints is not None and joint.get("name") not in joints:
             continue
