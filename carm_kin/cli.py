@@ -15,6 +15,7 @@ from typing import Annotated, Any
 import typer
 
 import carm_kin
+from carm_kin import cli_live
 from carm_kin.cli_arguments import above_zero, joint_names, options, writable
 from carm_kin.cli_chain import ChainOptions, calibrate_with, chain_options
 from carm_kin.cli_options import grouped
@@ -34,6 +35,8 @@ Seed = Annotated[int, typer.Option(min=0, help="Seed of everything random.")]
 Angular = Annotated[str | None, typer.Option(help="Name of the angular joint.")]
 Orbital = Annotated[str | None, typer.Option(help="Name of the orbital joint.")]
 SensorLink = Annotated[str | None, typer.Option(help="Link that carries the sensor.")]
+
+cli_live.register(app)
 
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 """What typer raises for bad usage; it has no public name in every version."""
