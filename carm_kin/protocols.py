@@ -1,6 +1,5 @@
 """Acquisition protocols: which joint moves how, while which angles are held. Angles in radians."""
 
-import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,14 +9,10 @@ import numpy as np
 
 from carm_kin.chain import Chain
 from carm_kin.errors import InputError
+from carm_kin.toml_file import read_toml
 from carm_kin.typed import record
 from solvers.estimate import Note
 from solvers.se3 import Array
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
 VIRTUAL = "virtual"
 """The protocol of `carm_kin.virtual`, which needs more than the chain."""
@@ -26,8 +21,6 @@ MAX_POSES = 1_000_000
 """More poses than this in one protocol are taken for a mistake."""
 MAX_DEG = 3600.0
 """A sweep that starts or ends beyond ten turns is taken for a mistake."""
-MAX_BYTES = 10_000_000
-"""A larger file is no protocol."""
 WIDEST = {"revolute": 2 * np.pi, "continuous": 2 * np.pi, "prismatic": 0.5}
 """Range, rad or m, of which a named protocol makes use where the limits of a joint are wider."""
 
@@ -167,7 +160,7 @@ def _grid(
 def _from_file(chain: Chain, path: Path) -> list[Motion]:
     """The motions of a protocol file. Raises InputError with the number of the sweep."""
     try:
-        tables = _read(path).get("sweep")
+        tables = read_toml(path, "protocol").get("sweep")
         if not isinstance(tables, list) or not tables:
             keys = "moving, from_deg, to_deg and may have step_deg, held_deg, held_mm"
             raise InputError(f"no [[sweep]] table; each needs {keys}")
@@ -180,22 +173,6 @@ def _from_file(chain: Chain, path: Path) -> list[Motion]:
     axes = {chain.names[chain.angular], chain.names[chain.orbital]}
     named = axes.union(*(plan.held_deg for plan in plans), *(plan.held_mm for plan in plans))
     return [_swept(chain, f"{k:0{width}d}", plan, named) for k, plan in enumerate(plans, 1)]
-
-
-def _read(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file."""
-    try:
-        if not path.is_file():
-            raise InputError("is not a file" if path.exists() else "no such file")
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"is larger than {MAX_BYTES // 1_000_000} MB, which is no protocol")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}") from None
-    except RecursionError:
-        raise InputError("no valid TOML: nested too deeply") from None
-    except ValueError as error:
-        raise InputError(f"no valid TOML: {error}") from None
 
 
 def _plan(chain: Chain, table: Any, place: str) -> SweepPlan:

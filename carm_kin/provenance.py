@@ -15,13 +15,9 @@ PACKAGES = ("carm-kin", "numpy", "casadi", "pin")
 
 def provenance_of(recording: Recording | None, command: str | None, seed: int | None) -> Provenance:
     """Provenance of a result; of the input only the file's name and digest, never its folder."""
-    versions = {"python": python_version()}
-    for package in PACKAGES:
-        with suppress(PackageNotFoundError):
-            versions[package] = version(package)
     source = recording.source if recording else None
     return Provenance(
-        versions=versions,
+        versions=versions(),
         input_name=_name(source.path) if source else None,
         input_sha256=source.sha256 if source else None,
         command=command,
@@ -29,6 +25,15 @@ def provenance_of(recording: Recording | None, command: str | None, seed: int | 
         date=datetime.now(timezone.utc).isoformat(timespec="seconds"),
         intakes=recording.intakes if recording else (),
     )
+
+
+def versions(packages: Sequence[str] = PACKAGES) -> dict[str, str]:
+    """The versions of Python and of those packages that are installed."""
+    found = {"python": python_version()}
+    for package in packages:
+        with suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found
 
 
 def command_line(arguments: Sequence[str]) -> str:

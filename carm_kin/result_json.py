@@ -49,13 +49,13 @@ def read_object(path: Path) -> dict[str, Any]:
     return data
 
 
-def write_atomically(path: Path, text: str) -> None:
-    """Write a whole file or nothing. Raises InputError where the place cannot be written."""
+def write_atomically(path: Path, content: str | bytes) -> None:
+    """Write a whole file or nothing, text as UTF-8. Raises InputError where the place cannot be written."""
     if path.is_dir():
         raise InputError("is a folder; give the name of a file", file=path)
     temporary = path.with_name(f".{uuid.uuid4().hex}.part")
     try:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_bytes(content.encode() if isinstance(content, str) else content)
         temporary.replace(path)
     except OSError as error:
         raise InputError(f"cannot be written: {error.strerror}", file=path) from None

@@ -1,0 +1,30 @@
+"""TOML files from outside, read with their size bounded."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from carm_kin.errors import InputError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # pyright: ignore[reportMissingImports]
+
+MAX_BYTES = 10_000_000
+
+
+def read_toml(path: Path, what: str) -> dict[str, Any]:
+    """The tables of a file that should be ``what``. Raises InputError, without the file's name."""
+    try:
+        if not path.is_file():
+            raise InputError("is not a file" if path.exists() else "no such file")
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(f"is larger than {MAX_BYTES // 1_000_000} MB, which is no {what}")
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}") from None
+    except RecursionError:
+        raise InputError("no valid TOML: nested too deeply") from None
+    except ValueError as error:
+        raise InputError(f"no valid TOML: {error}") from None
