@@ -5,7 +5,6 @@ sweeps share. See docs/session.md.
 """
 
 import re
-import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -15,12 +14,8 @@ import numpy as np
 
 from carm_kin.declarations import Declarations
 from carm_kin.errors import InputError
+from carm_kin.toml_file import tables_of
 from carm_kin.typed import typed
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
 T = TypeVar("T")
 
@@ -106,13 +101,10 @@ def read_session(path: Path) -> Session:
 
     data = _bytes(path)
     try:
-        text = data.decode("utf-8-sig")
-        tables = tomllib.loads(text)
-    except RecursionError:
-        raise InputError("no valid TOML: nested too deeply", file=path) from None
-    except ValueError as error:
-        raise InputError(f"no valid TOML: {error}", file=path) from None
-    places = _places(text)
+        tables = tables_of(data)
+    except InputError as error:
+        raise InputError(str(error), file=path) from None
+    places = _places(data.decode("utf-8-sig"))
     defaults, sweeps = tables.pop("defaults", {}), tables.pop("sweep", [])
     tracker = _checked(Tracker, tables, path, places, "")
     if not isinstance(sweeps, list) or not sweeps:

@@ -21,9 +21,15 @@ def read_toml(path: Path, what: str) -> dict[str, Any]:
             raise InputError("is not a file" if path.exists() else "no such file")
         if path.stat().st_size > MAX_BYTES:
             raise InputError(f"is larger than {MAX_BYTES // 1_000_000} MB, which is no {what}")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tables_of(path.read_bytes())
     except OSError as error:
         raise InputError(f"cannot be read: {error.strerror}") from None
+
+
+def tables_of(data: bytes) -> dict[str, Any]:
+    """The tables of a file's bytes, UTF-8 with or without its mark. Raises InputError."""
+    try:
+        return tomllib.loads(data.decode("utf-8-sig"))
     except RecursionError:
         raise InputError("no valid TOML: nested too deeply") from None
     except ValueError as error:
