@@ -117,7 +117,7 @@ def _best(v: Array) -> Array:
 
 
 def _newton(M: Array, angles: Array) -> tuple[Array, Array]:
-    """The step (2, N) and what it gains (N,), downhill where the curvature is negative as well, so that it leaves a
+    """The step (2, N), downhill where the curvature is negative as well, and what it gains (N,): any amount near a
     saddle."""
     sine, cosine = np.sin(angles), np.cos(angles)
     zero, one = np.zeros_like(sine), np.ones_like(sine)
@@ -128,7 +128,7 @@ def _newton(M: Array, angles: Array) -> tuple[Array, Array]:
     curvature, V = np.linalg.eigh(H)
     along = np.einsum("nji,nj->ni", V, g) / np.maximum(np.abs(curvature), np.finfo(float).tiny)
     step = -np.einsum("nij,nj->in", V, along)
-    return step, -(g.T * step).sum(axis=0)
+    return step, np.where(curvature[:, 0] < 0, np.inf, -(g.T * step).sum(axis=0))
 
 
 def _between(left: Array, M: Array, right: Array) -> Array:
