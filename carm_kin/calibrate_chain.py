@@ -136,9 +136,8 @@ def nominal_fit(problem: ChainProblem, model: ChainModel, estimate: ChainEstimat
     machine = estimate.machine
     placed = replace(model.machine, T_world_base=machine.T_world_base, T_last_sensor=machine.T_last_sensor)
     sigma = tuple(0.0 if given == 0 else float(s) for given, s in zip(problem.sigma, estimate.sigma, strict=True))
-    values = np.where(problem.read, problem.label, estimate.values)
     nothing, options = free_of(model, NOTHING), Options(reject_outliers=False)
-    return solve_chain(replace(problem, sigma=sigma), placed, values, nothing, options, estimate.used)
+    return solve_chain(replace(problem, sigma=sigma), placed, estimate.values, nothing, options, estimate.used)
 
 
 def free_of(model: ChainModel, free: FreeJoints) -> Free:

@@ -57,15 +57,10 @@ def start_of(problem: ChainProblem, machine: Machine, axes: Sequence[tuple[int, 
 
 
 def _guesses(problem: ChainProblem, axes: Sequence[tuple[int, int]]) -> Iterator[Array]:
-    """Joint values (N, J), NaN where they are left open. Unknown constants of joints other than the axes are 0."""
-    known = problem.label.copy()
-    is_axis = np.zeros(known.shape, dtype=bool)
-    for s, pair in enumerate(axes):
-        is_axis[np.ix_(problem.sensor == s, pair)] = True
-    known[np.isnan(known) & (problem.constant >= 0) & ~is_axis] = 0.0
-    choices = [_angles(problem, known, s, pair) for s, pair in enumerate(axes)]
+    """Joint values (N, J), NaN where they are left open."""
+    choices = [_angles(problem, s, pair) for s, pair in enumerate(axes)]
     for chosen in product(*choices):
-        values = known.copy()
+        values = problem.label.copy()
         for part in chosen:
             values = np.where(np.isnan(values), part, values)
         for k in range(problem.constants):
@@ -79,12 +74,13 @@ def _middle(values: Array) -> float:
     return float(values[0] + np.median(np.angle(np.exp(1j * (values - values[0])))))
 
 
-def _angles(problem: ChainProblem, known: Array, sensor: int, pair: tuple[int, int]) -> list[Array]:
+def _angles(problem: ChainProblem, sensor: int, pair: tuple[int, int]) -> list[Array]:
     """Guesses (N, J) of the two angles of a sensor's chain, where they are unknown; NaN where there is none.
 
-    The two-axis machine is found from the poses whose other joints are ``known`` (N, J), and from all, as if the other
-    joints stood at zero.
+    The two-axis machine is found from the poses whose other joints are known, and from all, as if the other joints
+    stood at zero where they are not.
     """
+    known = problem.label
     here = np.flatnonzero(problem.sensor == sensor)
     others = np.delete(np.arange(known.shape[1]), pair)
     covered = here[np.isfinite(known[here][:, others]).all(axis=1)]

@@ -1,5 +1,7 @@
 """Chains calibrated from recordings: against closed poses, the two-axis solvers and what must be refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from chained import (
@@ -27,6 +29,7 @@ from chained import (
     random_values,
     recorded,
     stand,
+    swept,
 )
 from scipy.spatial.transform import Rotation
 
@@ -155,6 +158,38 @@ def test_whatever_is_known_of_the_joints(name):
     assert abs(R) < 5 * result.sigma.major_radius_m
     assert result.outliers.indices == tuple(np.flatnonzero(gross))
     assert result.noise.translation_m == pytest.approx(SIGMA_T, rel=0.2)
+    assert "far_from_nominal" not in codes(result) | codes(exact)  # the senses of the axes are the URDF's
+
+
+@pytest.mark.parametrize("height", ["0.1", "-0.1"])
+def test_senses_that_no_label_tells_are_those_of_the_urdf(height):
+    """The orbital axis above or below the angular one: the two differ in the sense of one axis."""
+    text = C_ARM.replace('xyz="0.8 0.02 0.1"', f'xyz="0.8 0.02 {height}"')
+    truth, q = perturbed(text, SHIFT, TURN, 5), random_values(["angular", "orbital"], 80, 5)
+    T = noisy(stand(5) @ kinematics(truth, "sensor", q), SIGMA_T, SIGMA_R, 5)
+    result = calibrate_chain(recorded(T), parsed(text))
+    assert "far_from_nominal" not in codes(result)
+    assert result.major_radius_signed_m * float(height) > 0
+
+
+def test_one_label_a_sweep_is_enough():
+    recording = c_arm_recording(3, C_JOINTS)[2]
+    first = np.isin(np.arange(len(recording)), [sweep.poses[0] for sweep in recording.sweeps])
+    sparse = replace(recording, joints={k: np.where(first, v, np.nan) for k, v in recording.joints.items()})
+    results = [calibrate_chain(given, parsed(C_ARM)) for given in (recording, sparse)]
+    np.testing.assert_array_equal(*(result.offset_sensor_pivot_m for result in results))
+
+
+def test_unknown_held_values_of_two_recordings_are_apart():
+    """Their sweeps have the same labels and other angles."""
+    truth, parts = perturbed(C_ARM, SHIFT, TURN, 4), []
+    for k, (alpha, beta) in enumerate([(-1.0, 0.5), (0.7, -0.3)]):
+        path = np.radians(np.arange(-60, 61, 5))
+        sweeps = swept(*(("orbital", path, {"angular": a}) for a in (alpha, 0.2)), ("angular", path, {"orbital": beta}))
+        T = stand(k) @ kinematics(truth, "sensor", sweeps.q)
+        parts.append(recorded(T, sweep=sweeps.sweep, moving=sweeps.moving))
+    off, R = offset_errors(calibrate_chain(parts, parsed(C_ARM)), truth)
+    assert max(*np.abs(off), abs(R)) < 1e-7
 
 
 def test_held_values_that_nobody_knows_come_out_right():

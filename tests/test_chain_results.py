@@ -291,6 +291,16 @@ def test_residuals_per_sweep_add_up():
     assert mean == pytest.approx(1, abs=0.1)  # less what the machine takes: 14 of 560
 
 
+def test_sweeps_of_several_recordings():
+    """They are numbered by recording, and each has its own residuals."""
+    quiet, loud = (c_arm_recording(7, C_JOINTS, noise=noise)[2] for noise in (1.0, 1.5))
+    result = calibrate_chain([quiet, loud], parsed(C_ARM))
+    rows = result.residuals_per_sweep
+    assert [row.label for row in rows] == [f"{k}: s{n}" for k in (1, 2) for n in range(5)]
+    sums = [sum(row.poses * row.translation_rms_m**2 for row in part) for part in (rows[:5], rows[5:])]
+    assert sums[1] / sums[0] == pytest.approx(1.5**2, rel=0.1)  # the noise is the same but for its size
+
+
 def test_a_noisy_sweep_shows():
     recording = c_arm_recording(8, C_JOINTS)[2]
     T = poses_of(recording)
@@ -338,7 +348,8 @@ def test_repeated_poses_of_each_of_two_sensors():
     T = noisy(np.where((named == "frontal")[:, None, None], frontal, lateral), SIGMA_T, SIGMA_R, 3)
     T[22] = T[20]
     result = calibrate_chain(recorded(T, joints=q, metadata={"sensor": named}), parsed(BIPLANE))
-    assert result.outliers.indices == (22,)
+    (reason,) = result.outliers.reasons
+    assert (reason.reason, reason.indices) == ("identical to the pose before", (22,))
 
 
 def test_outliers_of_several_recordings_are_counted_on():

@@ -41,6 +41,12 @@ def test_earlier_stages_are_preferred():
         assert found.active.sum() == 3
 
 
+def test_a_weak_column_is_active():
+    """What is weak is told all the same; how well, the covariance says."""
+    J = np.random.default_rng(5).normal(size=(30, 2)) * [1, 1e-5]
+    assert identifiable(J, np.ones(2), [np.arange(2)]).active.all()
+
+
 def test_a_column_that_the_values_explain_is_not_active():
     """Its length after the elimination of the values is nothing next to that before."""
     J = np.random.default_rng(5).normal(size=(30, 2)) * [1, 1e-9]
