@@ -56,6 +56,8 @@ class Updates:
 
     def __init__(self, live: Live, pool: ThreadPoolExecutor, goal_m: float | None) -> None:
         self.latest: Current | None = None
+        self.failure: BaseException | None = None
+        """What ended the updates; a capture goes on without them."""
         self.met = False
         """Whether the goal was met, `CONFIRMED` times in a row."""
         self._live = live
@@ -70,7 +72,12 @@ class Updates:
         """Take what is ready, and begin what is due."""
         now = time.monotonic()
         if self._running is not None and self._running.done():
-            self.latest, self._running = self._running.result(), None
+            self.failure, running, self._running = self._running.exception(), self._running, None
+            if self.failure is not None:
+                self._due = inf
+                self._live.tell(f"the calibration failed ({self.failure}); the capture goes on")
+                return
+            self.latest = running.result()
             self._due = max(self._began + UPDATE_S, now + (now - self._began) * (1 / DUTY - 1))
             sigma = self.latest.worst_sigma_m
             met = self._goal_m is not None and sigma is not None and sigma <= self._goal_m
@@ -99,7 +106,8 @@ def _prompt_threads() -> Iterator[None]:
 def capture(reception: Reception, ends: Ends, keys: Keys, show: Callable[[Scene], None]) -> str:
     """Capture until the operator (an interrupt, Ctrl-C, included) or one of `ends` stops it; returns which.
 
-    Everything that arrived is in the file. Raises InputError where it cannot be written.
+    Everything that arrived is in the file. Raises InputError where it cannot be written; what a calibration raised is
+    raised at the end.
     """
     live, client = reception.live, reception.client
     stop, operator = Event(), Operator(live)
@@ -107,14 +115,21 @@ def capture(reception: Reception, ends: Ends, keys: Keys, show: Callable[[Scene]
     with _prompt_threads(), ThreadPoolExecutor(2) as pool:
         updates = Updates(live, pool, ends.sigma_m)
         running = pool.submit(reception.run, stop, ends.poses)
+
+        def scene() -> Scene:
+            return Scene(live.snapshot(), updates.latest, client.connected, client.counts.copy(), operator.prompt)
+
         try:
             while not (stop.is_set() or operator.stopped or updates.met or time.monotonic() >= until):
                 operator.press(keys.read(min(KEYS_S, max(until - time.monotonic(), 0.0))))
                 updates.look()
-                show(Scene(live.snapshot(), updates.latest, client.connected, client.counts.copy(), operator.prompt))
+                show(scene())
         except KeyboardInterrupt:
             operator.stopped = True
         finally:
             stop.set()
         running.result()
+    show(scene())
+    if updates.failure is not None:
+        raise updates.failure
     return STOPPED if operator.stopped else GOAL if updates.met else ENDED

@@ -26,7 +26,8 @@ class Gaps:
             return
         step = value - last
         if len(self._steps) >= LEAST:
-            self.missing += max(int(step / median(self._steps) + 1 - LATE) - 1, 0)
+            steps = step / median(self._steps)
+            self.missing += round(steps) - 1 if steps > 1 + LATE else 0
         self._steps.append(step)
 
     def restart(self) -> None:
