@@ -120,6 +120,8 @@ def _of_list(path: Path, given: Mapping[str, Any], skipped: Path) -> list[Entry]
             own = _table(values, ["path", "label", *SETTINGS], ["path"], path.parent, place)
             text, label = own.pop("path"), typed(str, own.pop("label", ""), f"{place}: label")
             settings = _settings({**defaults, **given, **own}, place)
+            if label:
+                _check_label(label, f" in {place}")
             try:
                 found += _of_path(text, path.parent, settings, label, skipped)
             except InputError as error:
@@ -159,10 +161,10 @@ def _labelled(found: list[Entry]) -> list[Entry]:
                 labels[k] = _label(entry.path, depth)
     seen: dict[str, Entry] = {}
     for label, entry in zip(labels, found, strict=True):
-        _check_label(label, entry)
+        _check_label(label, f" of {entry.shown}")
         other = seen.setdefault(label.casefold(), entry)
         if other is not entry:
-            raise InputError(f"{other.shown} and {entry.shown} would both be called '{label}'; give labels in a list")
+            raise InputError(f"{other.shown} and {entry.shown} would have the same label; give them labels in a list")
     return [replace(entry, label=label) for label, entry in zip(labels, found, strict=True)]
 
 
@@ -173,11 +175,11 @@ def _label(path: Path, depth: int) -> str:
     return "".join(c if c.isprintable() and c not in FORBIDDEN else "_" for c in text).lstrip(".") or "_"
 
 
-def _check_label(label: str, entry: Entry) -> None:
+def _check_label(label: str, whose: str) -> None:
     good = label.isprintable() and not set(FORBIDDEN) & set(label) and not label.startswith(".")
     if not good or len(label.encode()) > MAX_LABEL_BYTES:
         rule = f"no {' '.join(FORBIDDEN)}, no dot in front, at most {MAX_LABEL_BYTES} bytes"
-        raise InputError(f"label '{label}' of {entry.shown} cannot name a file: {rule}; give another in a list")
+        raise InputError(f"label '{label}'{whose} cannot name a file: {rule}; give another in a list")
 
 
 def _printable(path: Path) -> str:
