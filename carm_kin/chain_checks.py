@@ -11,7 +11,7 @@ from solvers.chain_problem import ChainProblem
 from solvers.estimate import Covariance, Note
 from solvers.left_out import LeftOut, left_out
 from solvers.limits import Limits, uncertain
-from solvers.residuals import correlated
+from solvers.residuals import correlated, correlation
 
 WEAK_M, WEAK_RAD = 5e-3, float(np.radians(0.5))
 """A joint's number that is estimated to no better than this (one sigma) is warned of."""
@@ -24,6 +24,8 @@ MOSTLY = 0.5
 """Share above which the prior, or what was not free, counts as the greater part."""
 COMPONENT = 0.3
 """Component of a unit vector from which on it counts as a part of the direction."""
+MOST_ALIKE = 0.99
+"""Correlation of neighbouring residuals beyond which they count as this much alike."""
 LEFT_OUT_PROBABILITY = 1e-6
 """Probability of saying of sound numbers of the URDF that they should have been free."""
 
@@ -34,7 +36,8 @@ def unfreed(model: ChainModel, problem: ChainProblem, estimate: ChainEstimate) -
     groups = {f"the origin of {model.names[j]}": layout.placement(j) for j in moving}
     groups |= {f"the zero of {model.names[j]}": np.array([layout.offset(j)]) for j in moving}
     groups |= {f"the gain of {model.names[j]}": np.array([layout.gain(j)]) for j in moving}
-    found = left_out(problem, estimate, groups)
+    alike = correlation(_neighbours(problem, estimate.used), estimate.residual[estimate.used].T)
+    found = left_out(problem, estimate, groups, min(alike, MOST_ALIKE))
     return found if found and found.probability < LEFT_OUT_PROBABILITY else None
 
 
@@ -48,9 +51,9 @@ def refusal(
 ) -> Note | None:
     """Why the estimate is not given."""
     return (
-        _misfit(problem, estimate, limits)
+        _systematic(left)
+        or _misfit(problem, estimate, limits)
         or _other_machine(joint_changes(model, estimate))
-        or _systematic(left)
         or _too_many_rejected(estimate, limits)
         or _not_converged(estimate)
         or uncertain(covariance, limits)
@@ -127,7 +130,7 @@ def notes(
     if share > limits.silent_rejected_share:
         words = f"{share:.0%} of the poses do not agree with the others and were not used"
         found.append(Note("many_rejected", words))
-    if left:
+    if left and left.share < MOSTLY:
         words = f"{_left_out_words(left)}; the stated uncertainty does not cover this"
         found.append(Note("more_to_free", words))
     if note := correlated(_neighbours(problem, estimate.used), estimate.residual[estimate.used].T):

@@ -141,8 +141,8 @@ def _owners(model: ChainModel, estimate: ChainEstimate, placements: tuple[str, .
 
 
 def _propagated(estimate: ChainEstimate, numbers: Callable[[Machine], Array]) -> Array:
-    """Covariance (K, K) of a function of the machine."""
-    index = np.flatnonzero(estimate.active)
+    """Covariance (K, K) of a function of the machine, which the unknown held values are no part of."""
+    index = np.flatnonzero(estimate.active[: estimate.layout.constant(0)])
     columns = []
     for i in index:
         step = np.zeros(estimate.layout.size)

@@ -166,7 +166,7 @@ def _chain(chain: ChainCalibration) -> list[str]:
             rows.append(("zero", joint.zero_m * 1e3, joint.zero_sigma_m * 1e3, "mm"))
         rows.append(("gain", joint.gain * 1e2, joint.gain_sigma * 1e2, "%"))
         lines += [_line(f"change of {joint.joint}, {n}", v, s, unit) for n, v, s, unit in rows if n in joint.estimated]
-    return lines
+    return [*lines, *(f"not told: {words}" for words in chain.not_identifiable)]
 
 
 def _both(length: float | None, angle: float | None) -> str:

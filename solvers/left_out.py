@@ -36,9 +36,14 @@ class LeftOut:
     """The group of unknowns that takes away most by itself."""
 
 
-def left_out(problem: ChainProblem, estimate: ChainEstimate, groups: Mapping[str, np.ndarray]) -> LeftOut | None:
+def left_out(
+    problem: ChainProblem, estimate: ChainEstimate, groups: Mapping[str, np.ndarray], correlation: float = 0.0
+) -> LeftOut | None:
     """The test of all unknowns in the ``groups`` (name -> positions among D) that were not estimated; None where there
-    are none, or no noise to compare with."""
+    are none, or no noise to compare with.
+
+    Residuals of neighbouring poses with a ``correlation`` r tell as much as (1 - r) / (1 + r) times as many poses.
+    """
     groups = {name: own[~estimate.active[own]] for name, own in groups.items()}
     others = np.concatenate([np.zeros(0, dtype=int), *groups.values()])
     if not others.size or max(estimate.sigma[:2]) < EXACT:
@@ -56,6 +61,7 @@ def left_out(problem: ChainProblem, estimate: ChainEstimate, groups: Mapping[str
     drop, dof = float(g @ found), float(redundancy(at, C).sum())
     if rank == 0 or dof <= rank or at.cost <= drop:
         return None
+    F = drop / rank / ((at.cost - drop) / (dof - rank))
     step = np.zeros(len(C))
     step[others] = -found / scale
     step += across @ (found / scale)
@@ -67,7 +73,7 @@ def left_out(problem: ChainProblem, estimate: ChainEstimate, groups: Mapping[str
     return LeftOut(
         share=float(shares.max()),
         kind=int(shares.argmax()),
-        probability=float(fdtrc(rank, dof - rank, drop / rank / ((at.cost - drop) / (dof - rank)))),
+        probability=float(fdtrc(rank, dof - rank, F * (1 - correlation) / (1 + correlation))),
         most=max(alone, key=lambda name: alone[name]),
     )
 

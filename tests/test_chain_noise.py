@@ -179,6 +179,21 @@ def test_score_test_is_uniform_without_anything_to_find():
     assert np.mean(np.array(found) < 0.05) < 0.05 + 4 * np.sqrt(0.05 * 0.95 / 80)
 
 
+def test_score_test_of_noise_that_is_not_independent():
+    """Each pose repeated nine times: many false alarms without the correlation, none with it."""
+    truth = hand_made("rrr", seed=15)
+    values, alarms = np.repeat(drawn(truth, 50, 15), 10, axis=0), []
+    for seed in range(20):
+        T = observed(truth, values[::10], (SIGMA_T, SIGMA_R), seed).T_world_sensor
+        problem = replace(observed(truth, values), T_world_sensor=np.repeat(T, 10, axis=0))
+        estimate = solve_chain(problem, truth, values, free(truth), Options(reject_outliers=False))
+        both = [left_out(problem, estimate, groups_of(estimate), r).probability for r in (0.0, 0.9)]
+        alarms.append([p < 1e-6 for p in both])
+    without, with_it = np.mean(alarms, axis=0)
+    assert without > 0.3
+    assert with_it == 0
+
+
 def test_score_test_names_the_wrong_joint():
     truth = hand_made("rrr", seed=14)
     values = drawn(truth, 60)

@@ -65,7 +65,11 @@ def test_what_is_printed(files, capsys):
     assert f"change of {joint['joint']}, {part}" in err
     nominal = result["chain"]["nominal"]["translation_rms_mm"]
     assert f"residuals of the nominal URDF     {nominal:.3f} mm" in err
-    assert max(len(line) for line in err.splitlines() if not line.startswith("warning")) <= 80
+    told = [line for line in err.splitlines() if not line.startswith(("warning", "  not told: "))]
+    assert max(map(len, told)) <= 80
+    assert [f"  not told: {words}" for words in result["chain"]["not_identifiable"]] == [
+        line for line in err.splitlines() if line.startswith("  not told: ")
+    ]
 
 
 def test_a_refused_calibration_is_not_written(files, capsys):
