@@ -19,6 +19,7 @@ from carm_kin import cli_export
 from carm_kin.cli_arguments import above_zero, joint_names, options, writable
 from carm_kin.cli_chain import ChainOptions, calibrate_with, chain_options
 from carm_kin.cli_options import grouped
+from carm_kin.cli_report import ReportOptions, report_options
 from carm_kin.errors import CarmKinError, InputError, RefusedError
 from carm_kin.terminal import Stderr, to_stdout, use_any_encoding
 
@@ -88,15 +89,17 @@ def _every_command(
         raise InputError("a command is missing; start with carm-kin demo, or see carm-kin --help")
 
 
-@app.command(epilog="Example: carm-kin demo --out my-first-calibration")
+@app.command(epilog="Example: carm-kin demo --out my-first-calibration --report report.html")
+@grouped("pages", report_options)
 def demo(
+    pages: ReportOptions,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")] = Path("carm-kin-demo"),
     seed: Seed = 0,
 ) -> None:
     """Simulate a clinical recording, calibrate it with every solver, compare with the truth."""
     from carm_kin.demo import run
 
-    run(out, seed, Stderr())
+    run(out, seed, Stderr(), pages)
 
 
 @app.command(epilog="Example: carm-kin inspect mobile_nonisocentric")
@@ -155,11 +158,13 @@ def simulate(
     console.print(f"{len(recording)} poses written to {out}, the truth to {truth_file}", soft_wrap=True)
 
 
-@app.command(epilog="Example: carm-kin calibrate rec.csv --solver kinematic --json result.json")
+@app.command(epilog="Example: carm-kin calibrate rec.csv --json result.json --report report.html")
+@grouped("pages", report_options)
 @grouped("chain", chain_options)
 def calibrate(
     recording: Annotated[list[Path], typer.Argument(help="The recording; with --urdf there may be several.")],
     chain: ChainOptions,
+    pages: ReportOptions,
     solver: Annotated[
         str | None, typer.Option(help="chain (with --urdf), closed_form, decomposed, direct, kinematic, surface.")
     ] = None,
@@ -192,7 +197,7 @@ def calibrate(
         "sigma_r_rad": above_zero("--sigma-r-deg", sigma_r_deg, radians(1)),
         **options(option or []),
     }
-    command = command_line(sys.argv[1:])
+    command, joints = command_line(sys.argv[1:]), (angular or "angular", orbital or "orbital")
     if solver == "chain" or (urdf and solver is None and locus == "circle"):
         if urdf is None or locus != "circle":
             raise InputError("the solver 'chain' needs --urdf, and the locus 'circle'")
@@ -211,6 +216,7 @@ def calibrate(
 
             result = replace(result, cross_validation=held_out(poses, cross_validate, solver, **settings))
     _deliver(result, as_json)
+    pages.write(result, recordings, joints)
     summary.show(result, Stderr())
     if result.refusal:
         raise RefusedError(result.refusal.code, result.refusal.message)
