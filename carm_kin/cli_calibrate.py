@@ -14,6 +14,7 @@ from carm_kin.cli_chain import ChainOptions, calibrate_with, chain_options
 from carm_kin.cli_options import grouped
 from carm_kin.cli_output import check_place, deliver
 from carm_kin.cli_reading import How, reading_options
+from carm_kin.cli_report import ReportOptions, report_options
 from carm_kin.errors import InputError, RefusedError
 from carm_kin.recording import Recording
 from carm_kin.result import CalibrationResult
@@ -22,15 +23,17 @@ from carm_kin.terminal import Stderr
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the program."""
-    app.command(epilog="Example: carm-kin calibrate rec.csv --solver kinematic --json result.json")(calibrate)
+    app.command(epilog="Example: carm-kin calibrate rec.csv --json result.json --report report.html")(calibrate)
 
 
+@grouped("pages", report_options)
 @grouped("how", reading_options)
 @grouped("chain", chain_options)
 def calibrate(
     recording: Annotated[list[Path], typer.Argument(help="File, folder or session; with --urdf several.")],
     how: How,
     chain: ChainOptions,
+    pages: ReportOptions,
     solver: Annotated[
         str | None, typer.Option(help="chain (with --urdf), closed_form, decomposed, direct, kinematic, surface.")
     ] = None,
@@ -62,7 +65,7 @@ def calibrate(
         "sigma_r_rad": above_zero("--sigma-r-deg", sigma_r_deg, radians(1)),
         "command": command_line(sys.argv[1:]),
     }
-    more = options(option or [])
+    more, joints = options(option or []), (angular or "angular", orbital or "orbital")
     if solver == "chain" or (urdf and solver is None and locus == "circle"):
         if urdf is None or locus != "circle":
             raise InputError("the solver 'chain' needs --urdf, and the locus 'circle'")
@@ -73,6 +76,7 @@ def calibrate(
         settings |= {"locus": locus, "angular": joints[0], "orbital": joints[1], **more}
         result = _two_axes(recordings[0], solver, cross_validate, settings)
     deliver(result, as_json)
+    pages.write(result, recordings, joints)
     summary.show(result, Stderr())
     if result.refusal:
         raise RefusedError(result.refusal.code, result.refusal.message)

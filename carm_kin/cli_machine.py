@@ -9,26 +9,30 @@ import typer
 
 import carm_kin
 from carm_kin.cli_arguments import Angular, Orbital, Seed, SensorLink, Urdf, writable
+from carm_kin.cli_options import grouped
+from carm_kin.cli_report import ReportOptions, report_options
 from carm_kin.terminal import Stderr, to_stdout
 
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the program."""
-    app.command(epilog="Example: carm-kin demo --out my-first-calibration")(demo)
+    app.command(epilog="Example: carm-kin demo --out my-first-calibration --report report.html")(demo)
     app.command(epilog="Example: carm-kin inspect mobile_nonisocentric")(inspect)
     app.command(epilog="Example: carm-kin simulate mobile_nonisocentric -o rec.csv --sigma-t-mm 0.5 --sigma-r-deg 0.1")(
         simulate
     )
 
 
+@grouped("pages", report_options)
 def demo(
+    pages: ReportOptions,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")] = Path("carm-kin-demo"),
     seed: Seed = 0,
 ) -> None:
     """Simulate a clinical recording, calibrate it with every solver, compare with the truth."""
     from carm_kin.demo import run
 
-    run(out, seed, Stderr())
+    run(out, seed, Stderr(), pages)
 
 
 def inspect(

@@ -12,6 +12,7 @@ from rich.table import Table
 import solvers
 from carm_kin import summary
 from carm_kin.calibrate import calibrate
+from carm_kin.cli_report import ReportOptions
 from carm_kin.errors import InputError
 from carm_kin.formats import read_recording, write_recording
 from carm_kin.recording import Recording
@@ -23,8 +24,8 @@ MACHINE = "mobile_nonisocentric"
 SIGMA_T_M, SIGMA_R_RAD = 0.25e-3, float(np.radians(0.1))
 
 
-def run(folder: Path, seed: int, console: Console) -> None:
-    """Write recording, truth and one result a solver into ``folder``; print what came out.
+def run(folder: Path, seed: int, console: Console, pages: ReportOptions = ReportOptions(None, None)) -> None:
+    """Write recording, truth and one result a solver into ``folder``, and the ``pages``; print what came out.
 
     Raises InputError where the folder cannot be made.
     """
@@ -53,6 +54,7 @@ def run(folder: Path, seed: int, console: Console) -> None:
     summary.show(results["kinematic"], console)
     console.print("\nThe truth is:")
     summary.show_numbers(truth, console)
+    pages.write(results["kinematic"], [recording], compared=results, truth=truth)
     console.print(f"\nRecording, truth and results are in the folder {folder}", soft_wrap=True)
     console.print(f"Next: carm-kin calibrate {shlex.quote(str(folder / 'recording.csv'))}", soft_wrap=True)
 

@@ -33,11 +33,14 @@ def installed(wheel, tmp_path_factory) -> Path:
     return folder
 
 
-def test_the_wheel_has_both_packages_their_types_and_the_machines(wheel):
+def test_the_wheel_has_both_packages_their_types_templates_and_machines(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     sources = [path for package in ("carm_kin", "solvers") for path in (ROOT / package).rglob("*.py")]
     assert {str(path.relative_to(ROOT)) for path in sources} <= names
     assert {"carm_kin/py.typed", "solvers/py.typed"} <= names
+    templates = {str(path.relative_to(ROOT)) for path in (ROOT / "carm_kin/report/templates").iterdir()}
+    assert len(templates) > 4
+    assert templates <= names
     machines = {f"carm_kin/urdf_files/{path.name}" for path in (ROOT / "urdf").glob("*.urdf")}
     assert len(machines) >= 3
     assert machines <= names
