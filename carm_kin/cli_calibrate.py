@@ -59,6 +59,7 @@ def calibrate(
     from carm_kin.provenance import command_line
 
     check_place(as_json)
+    pages.check()
     recordings = [how.read(path) for path in recording]
     settings: dict[str, Any] = {
         "sigma_t_m": above_zero("--sigma-t-mm", sigma_t_mm, 1e-3),

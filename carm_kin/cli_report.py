@@ -20,6 +20,13 @@ class ReportOptions:
     page: Path | None
     figures: Path | None
 
+    def check(self) -> None:
+        """Raise InputError where something could not be written, before the work starts."""
+        if self.page is not None:
+            writable(self.page)
+        if self.figures is not None and self.figures.exists() and not self.figures.is_dir():
+            raise InputError("is a file; --figures takes a folder", file=self.figures)
+
     def write(
         self,
         result: CalibrationResult,
@@ -44,11 +51,9 @@ def report_options(
     report: Annotated[Path | None, typer.Option(help="Write a page about the result here, one HTML file.")] = None,
     figures: Annotated[Path | None, typer.Option(help="Folder for the page's figures as SVG and PNG.")] = None,
 ) -> ReportOptions:
-    """The options. Raises InputError for a place that cannot be written, and where figures cannot be drawn."""
+    """The options. Raises MissingDependencyError where figures cannot be drawn."""
     if figures is not None:
-        if figures.exists() and not figures.is_dir():
-            raise InputError("is a file; --figures takes a folder", file=figures)
         from carm_kin.report.matplotlib_figures import needs_matplotlib
 
         needs_matplotlib()
-    return ReportOptions(writable(report) if report else None, figures)
+    return ReportOptions(report, figures)

@@ -33,6 +33,7 @@ def run(folder: Path, seed: int, console: Console, pages: ReportOptions = Report
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"the folder cannot be made: {error.strerror}", file=folder) from None
+    pages.check()
     simulated, truth = simulate(MACHINE, "clinical", sigma_t_m=SIGMA_T_M, sigma_r_rad=SIGMA_R_RAD, seed=seed)
     write_recording(simulated, folder / "recording.csv")
     truth.to_json(folder / "recording.truth.json")
