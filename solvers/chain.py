@@ -1,4 +1,4 @@
-"""Maximum likelihood of a whole machine from its URDF's numbers: docs/estimation.md, section 14.
+"""Maximum likelihood of a whole machine from its URDF's numbers: docs/estimation.md, section 16.
 
 Unknown are the base in the world for every placement, the mount of every sensor, and those joint placements,
 zero offsets and gains that are set free and that the data determine. Joint values are readings with a sigma,

@@ -1,4 +1,4 @@
-"""The normal equations of a machine's chain, every single value of a joint eliminated. docs/estimation.md, section 14.
+"""The normal equations of a machine's chain, every single value of a joint eliminated. docs/estimation.md, section 16.
 
 Each pose gives six rows, and one more for every joint that is read: the reading's error over its sigma. Over the
 values of its own (k of them, block G) a pose is reduced by itself, as in section 3; all other unknowns are global.

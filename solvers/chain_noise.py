@@ -1,4 +1,4 @@
-"""The noises of positions, orientations and readings from their own residuals: docs/estimation.md, section 14."""
+"""The noises of positions, orientations and readings from their own residuals: docs/estimation.md, section 16."""
 
 import numpy as np
 from scipy.special import chdtri

@@ -1,4 +1,4 @@
-"""Whether unknowns that were not estimated would explain what the residuals still show: docs/estimation.md, section 14.
+"""Whether unknowns that were not estimated would explain what the residuals still show: docs/estimation.md, section 16.
 
 A score test at the estimate. With the estimated unknowns eliminated like the values, the others would lower the
 weighted sum of squares Q by T = gT inv(S) g, S = H_oo - H_oe C H_eo. Without anything to explain T is chi-square.
