@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import typer
 
 import carm_kin
-from carm_kin import cli_batch
+from carm_kin import cli_batch, cli_compare
 from carm_kin.cli_arguments import above_zero, joint_names, options, writable
 from carm_kin.cli_chain import ChainOptions, calibrate_with, chain_options
 from carm_kin.cli_options import grouped
@@ -29,6 +29,7 @@ app = typer.Typer(
     rich_markup_mode="rich",
 )
 cli_batch.register(app)
+cli_compare.register(app)
 
 Urdf = Annotated[str, typer.Argument(help="A URDF file or the name of a bundled machine.")]
 AsJson = Annotated[str | None, typer.Option("--json", help="Write the result here; - for stdout.")]
