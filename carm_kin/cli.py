@@ -11,7 +11,17 @@ from typing import Annotated, Any
 import typer
 
 import carm_kin
-from carm_kin import cli_batch, cli_calibrate, cli_experiment, cli_export, cli_files, cli_live, cli_machine, cli_verify
+from carm_kin import (
+    cli_batch,
+    cli_calibrate,
+    cli_compare,
+    cli_experiment,
+    cli_export,
+    cli_files,
+    cli_live,
+    cli_machine,
+    cli_verify,
+)
 from carm_kin.cli_output import ended
 from carm_kin.errors import CarmKinError, InputError, RefusedError
 from carm_kin.terminal import to_stdout, use_any_encoding
@@ -22,7 +32,17 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode="rich",
 )
-for _commands in (cli_machine, cli_calibrate, cli_verify, cli_batch, cli_experiment, cli_export, cli_files, cli_live):
+for _commands in (
+    cli_machine,
+    cli_calibrate,
+    cli_compare,
+    cli_verify,
+    cli_batch,
+    cli_experiment,
+    cli_export,
+    cli_files,
+    cli_live,
+):
     _commands.register(app)
 
 
