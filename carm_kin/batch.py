@@ -76,7 +76,7 @@ class Batch:
             return False
         with contextlib.suppress(InputError, OSError):
             if line.key == key_of(entry.path, entry.settings, here):
-                return not has_result or _digest(self._result(line).read_bytes()) == line.result_sha256
+                return not has_result or _digest(self.result_file(line).read_bytes()) == line.result_sha256
         return False
 
     def _prepare(self, done: dict[str, Line]) -> None:
@@ -99,7 +99,7 @@ class Batch:
         reason = report.reason.replace(str(entry.path), entry.shown)
         line = Line(entry.label, entry.shown, report.status, report.code, reason, report.key, digest)
         if report.text is not None:
-            write_atomically(self._result(line), report.text)
+            write_atomically(self.result_file(line), report.text)
         self.journal.append(line)
         return line
 
@@ -110,9 +110,10 @@ class Batch:
         return lines
 
     def _content(self, line: Line) -> Any:
-        return json.loads(self._result(line).read_bytes()) if line.result_sha256 else None
+        return json.loads(self.result_file(line).read_bytes()) if line.result_sha256 else None
 
-    def _result(self, line: Line) -> Path:
+    def result_file(self, line: Line) -> Path:
+        """Where the result of a recording is."""
         return self.folder / FOLDERS[line.status] / f"{line.label}.json"
 
 

@@ -5,16 +5,19 @@ import os
 from collections import Counter
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carm_kin.cli_arguments import options
+from carm_kin.cli_arguments import options, writable
 from carm_kin.cli_options import grouped
 from carm_kin.errors import InputError
 from carm_kin.jobs import Workers, WorkersLostError
 from carm_kin.journal import OK, Line
 from carm_kin.terminal import Stderr
+
+if TYPE_CHECKING:
+    from carm_kin.batch import Batch
 
 PANEL = "How to calibrate, where a list does not say it"
 
@@ -56,6 +59,7 @@ def batch(
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes; by default one for each core.")] = None,
     cluster: Annotated[str | None, typer.Option(help="Address of a Dask scheduler instead, tcp://HOST:PORT.")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Go on where an earlier batch in the folder ended.")] = False,
+    report: Annotated[Path | None, typer.Option(help="Write a page of all results here, one HTML file.")] = None,
 ) -> None:
     """Calibrate many recordings: a result for each, a summary, and the reasons where there is none.
 
@@ -65,10 +69,12 @@ def batch(
     from carm_kin.batch_list import entries
     from carm_kin.progress import progress
 
+    if report:
+        writable(report)
     console, whole = Stderr(), Batch(tuple(entries(paths, given, out)), out)
     if whole.started() and not resume:
         raise InputError("holds a batch; go on with it by --resume, or take another folder", file=out)
-    workers = _workers(jobs, cluster)
+    workers = workers_of(jobs, cluster)
     done = whole.done()
     if done:
         console.print(f"{len(done)} of {len(whole.entries)} recordings are done already")
@@ -78,10 +84,22 @@ def batch(
     except (KeyboardInterrupt, WorkersLostError):
         console.print(f"what is done is kept in {out}; the same command with --resume goes on", soft_wrap=True)
         raise
+    if report:
+        _report(whole, lines, report)
     _conclude(console, lines, out / f"{SUMMARY}.csv")
 
 
-def _workers(jobs: int | None, cluster: str | None) -> Workers:
+def _report(whole: "Batch", lines: list[Line], page: Path) -> None:
+    """The page of all results and refusals."""
+    from carm_kin.report import write_summary
+    from carm_kin.result import CalibrationResult
+
+    written = [line for line in lines if line.result_sha256 is not None]
+    write_summary({line.label: CalibrationResult.from_json(whole.result_file(line)) for line in written}, page)
+
+
+def workers_of(jobs: int | None, cluster: str | None) -> Workers:
+    """Those of a cluster where one is named, else processes of this machine. Raises InputError for both."""
     if cluster is None:
         from carm_kin.local_workers import LocalWorkers
 

@@ -15,6 +15,8 @@ from carm_kin.cli_arguments import writable
 from carm_kin.cli_options import grouped
 from carm_kin.errors import InputError, RefusedError
 from carm_kin.provenance import command_line
+from carm_kin.recording import Recording
+from carm_kin.result import CalibrationResult
 from carm_kin.result_json import write_atomically
 from carm_kin.rows import Cell, csv_text
 from carm_kin.settings import Settings
@@ -71,12 +73,14 @@ class Outputs:
     json: str | None
     csv: Path | None
     figure: Path | None
+    report: Path | None
 
 
 def outputs(
     as_json: Annotated[str | None, typer.Option("--json", help="Write everything here; - for stdout.")] = None,
     as_csv: Annotated[Path | None, typer.Option("--csv", help="Write the table here.")] = None,
     figure: Annotated[Path | None, typer.Option(help="Draw here: .svg, .png or .pdf.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a page about one recording here, one HTML file.")] = None,
 ) -> Outputs:
     """The places, checked before the work starts."""
     if as_json not in (None, "-"):
@@ -85,7 +89,7 @@ def outputs(
         from carm_kin.figures import check_figure
 
         check_figure(writable(figure))
-    return Outputs(as_json, writable(as_csv) if as_csv else None, figure)
+    return Outputs(as_json, writable(as_csv) if as_csv else None, figure, writable(report) if report else None)
 
 
 @grouped("simulation", simulated)
@@ -111,8 +115,8 @@ def compare(
     names = [name.strip() for name in solvers.split(",")] if solvers else None
     settings = Settings(urdf=urdf, angular=angular, orbital=orbital, sensor_link=sensor_link)
     if simulation.repeat is not None:
-        if recording is not None or truth is not None:
-            raise InputError("--repeat simulates recordings: leave out the recording and --truth")
+        if recording is not None or truth is not None or output.report is not None:
+            raise InputError("--repeat simulates recordings: leave out the recording, --truth and --report")
         _study(simulation, names or STUDIED, settings, output)
     elif recording is None:
         raise InputError("a recording is missing, or --repeat with --urdf for a study")
@@ -150,6 +154,8 @@ def _recording(
     )
     draw = compare_figures.comparison_figure
     _deliver(found, compare_view.rows_of(found), lambda: draw(found, true), output)
+    if output.report:
+        _report(found, recording, true, output.report)
     console.print(f"{len(recording)} poses, the same for every solver; {left_out} left out that disagree")
     _show(console, compare_view.tables(found))
     for run in found.runs:
@@ -160,6 +166,16 @@ def _recording(
             console.print(f"{run.solver}: {reason}", soft_wrap=True)
     if not any(run.result for run in found.runs):
         raise RefusedError("no_result", "no solver has a result")
+
+
+def _report(found: "Comparison", recording: Recording, truth: CalibrationResult | None, page: Path) -> None:
+    """The page of the first solver that draws the machine, the others compared on it."""
+    from carm_kin.report import write_report
+
+    results = {run.solver: run.result for run in found.runs if run.result is not None}
+    if results:
+        first = results.get("kinematic") or next(iter(results.values()))
+        write_report(first, recording, page, compared=results, truth=truth)
 
 
 def _study(simulation: Simulated, names: Sequence[str], settings: Settings, output: Outputs) -> None:

@@ -1,14 +1,13 @@
 """The command `carm-kin experiment`: the paper's experiments, their figures and the page that compares them."""
 
-import os
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from carm_kin.cli_batch import workers_of
 from carm_kin.errors import InputError
-from carm_kin.jobs import Workers
 from carm_kin.terminal import Stderr
 
 
@@ -32,15 +31,4 @@ def experiment(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"the folder cannot be made: {error.strerror}", file=out) from None
-    run(names, out, seeds, workers(jobs, cluster), command_line(sys.argv[1:]), Stderr())
-
-
-def workers(jobs: int | None, cluster: str | None) -> Workers:
-    """Those of a cluster where one is named, else processes of this machine."""
-    if cluster:
-        from carm_kin.cluster import ClusterWorkers
-
-        return ClusterWorkers(cluster)
-    from carm_kin.local_workers import LocalWorkers
-
-    return LocalWorkers(jobs or os.cpu_count() or 1)
+    run(names, out, seeds, workers_of(jobs, cluster), command_line(sys.argv[1:]), Stderr())
