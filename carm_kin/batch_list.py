@@ -59,11 +59,13 @@ def entries(paths: Sequence[str | Path], given: Mapping[str, Any], skipped: Path
 
 
 def _is_list(path: Path) -> bool:
-    """A TOML file, but where it is itself a recording of a format with this extension."""
+    """A TOML file, but where it is itself a recording: a session, which has sweeps."""
     if path.suffix.lower() != LIST or path.is_dir():
         return False
-    is_format = any(LIST in found.extensions for found in formats().values())
-    return not is_format or "recording" in read_toml(path, WHAT)
+    try:
+        return "sweep" not in read_toml(path, WHAT)
+    except InputError:
+        return True
 
 
 def _settings(values: Mapping[str, Any], place: str) -> Settings:
