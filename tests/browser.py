@@ -57,14 +57,17 @@ def chromium() -> Iterator[Any]:
         pytest.skip("no chromium is installed here; apt-get install chromium")
     with api.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=path, args=OPTIONS)
-        yield browser
-        browser.close()
+        try:
+            yield browser
+        finally:
+            browser.close()
 
 
 @contextmanager
-def opened(browser: Any, path: Path, view: str) -> Iterator[Opened]:
-    """The page at ``path`` in one of the `VIEWS`, from the first request on."""
+def opened(browser: Any, path: Path, view: str, before: str = "") -> Iterator[Opened]:
+    """The page at ``path`` in one of the `VIEWS`, from the first request on; the script ``before`` runs first."""
     context = browser.new_context(**VIEWS[view], offline=True)
+    context.add_init_script(before)
     found = Opened(context.new_page())
     own = path.as_uri()
 
@@ -85,6 +88,8 @@ def opened(browser: Any, path: Path, view: str) -> Iterator[Opened]:
     found.page.on("pageerror", lambda error: found.errors.append(str(error)))
     found.page.on("dialog", popped_up)
     found.page.goto(own)
-    found.page.locator("html[data-drawn=true]").wait_for(state="attached", timeout=120_000)
-    yield found
-    context.close()
+    found.page.locator("html[data-drawn=true]").wait_for(state="attached", timeout=60_000)
+    try:
+        yield found
+    finally:
+        context.close()

@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import carm_kin
+from carm_kin.calibrate_chain import FreeJoints, calibrate_chain
 from carm_kin.errors import InputError, MissingDependencyError
 from carm_kin.recording import Recording, Source
 from carm_kin.report import Joints, together, write_figures, write_report, write_summary
@@ -342,6 +343,15 @@ def test_ten_thousand_poses_are_quick_and_small(tmp_path):
     assert (tmp_path / "report.html").stat().st_size < 8e6
 
 
+def test_the_page_of_a_chain_has_the_changes_of_the_urdf(tmp_path):
+    whole, _ = carm_kin.simulate("mobile_skewed", "minimal", sigma_t_m=1e-4, sigma_r_rad=1e-4, seed=4)
+    found = calibrate_chain(whole.select(slice(None, None, 20)), "mobile_skewed", free=FreeJoints(("axes",)))
+    write_report(found, whole.select(slice(None, None, 20)), tmp_path / "report.html")
+    text = page_of(tmp_path / "report.html").find(".//main").text_content()
+    assert "Changes of the URDF mobile_skewed.urdf" in text
+    assert "Residuals against" in text
+
+
 def test_a_page_that_cannot_be_written_is_an_input_error(recording, result, tmp_path):
     with pytest.raises(InputError, match="cannot be written"):
         write_report(result, recording, tmp_path / "no" / "report.html")
@@ -385,6 +395,14 @@ def test_a_summary_counts_and_links(result, refused, tmp_path):
     assert refused[0].refusal.message in text
     assert [a.get("href") for a in root.iter("a")] == ["one%20%231.html"]
     assert len(list(root.iter("figure"))) == 2
+
+
+def test_a_summary_of_many_is_thinned_but_for_the_table(result, tmp_path):
+    write_summary({f"{k}.csv": result for k in range(1201)}, tmp_path / "summary.html")
+    text = page_of(tmp_path / "summary.html").find(".//main").text_content()
+    assert "401 of 1201 are drawn" in text
+    assert "1200.csv" in text
+    assert len(contents(tmp_path / "summary.html")[1]["data"][0]["x"]) == 401
 
 
 def test_a_summary_of_nothing(tmp_path):

@@ -158,3 +158,14 @@ def test_a_summary(browser, tmp_path):
     write_summary(results, tmp_path / "summary.html", title="Four calibrations")
     with opened(browser, tmp_path / "summary.html", "phone") as found:
         check(found, "summary-phone")
+
+
+def test_without_webgl_it_says_so_and_draws_the_rest(page, browser):
+    """In a tab that refuses every WebGL context."""
+    refuse = "HTMLCanvasElement.prototype.getContext = ((own) => function (kind, ...more) {"
+    refuse += " return kind.includes('webgl') ? null : own.call(this, kind, ...more); })"
+    refuse += "(HTMLCanvasElement.prototype.getContext);"
+    with opened(browser, page, "light", refuse) as found:
+        assert "WebGL" in found.page.locator("figure.space .plot").inner_text()
+        assert found.page.locator("figure.flat .plot .main-svg").count() > 6
+        assert found.errors == []

@@ -28,6 +28,8 @@ HEAD = (
     "used poses",
     "warnings",
 )
+MOST_DRAWN = 500
+"""Of more results the figures show an even choice; the table has all."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +54,7 @@ def write_summary(
     ``links`` gives the names of files beside the page, such as the report of each recording. Raises InputError
     where the place cannot be written.
     """
+    drawn = dict(list(results.items())[:: max(1, -(-len(results) // MOST_DRAWN))])
     lines = [_line(name, result, (links or {}).get(name, "")) for name, result in results.items()]
     write_page(
         "summary.html",
@@ -60,7 +63,8 @@ def write_summary(
         version=carm_kin.__version__,
         count=len(results),
         refused=sum(result.refusal is not None for result in results.values()),
-        charts=_charts(results),
+        charts=_charts(drawn),
+        drawn=len(drawn),
         head=HEAD,
         lines=lines,
     )

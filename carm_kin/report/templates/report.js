@@ -39,7 +39,12 @@
     return copy;
   }
 
-  function drawSpace(figure, plot, content) {
+  function drawSpace(plot, content) {
+    if (!document.createElement("canvas").getContext("webgl")) {
+      plot.classList.add("empty");
+      plot.textContent = "The view in space needs WebGL, which this browser does not offer.";
+      return null;
+    }
     const here = () => inColours(content, dark.matches ? DARK : LIGHT);
     const picture = document.createElement("img");
     picture.className = "paper";
@@ -74,10 +79,10 @@
       key.addEventListener("click", () => {
         const on = key.getAttribute("aria-pressed") !== "true";
         key.setAttribute("aria-pressed", String(on));
-        Plotly.restyle(plot, { visible: on }, JSON.parse(key.dataset.members));
+        if (plot.data) Plotly.restyle(plot, { visible: on }, JSON.parse(key.dataset.members));
       });
     }
-    return figure.classList.contains("space") ? drawSpace(figure, plot, content) : drawFlat(plot, content);
+    return figure.classList.contains("space") ? drawSpace(plot, content) : drawFlat(plot, content);
   }
 
   addEventListener("beforeprint", () => document.querySelectorAll("details").forEach((it) => (it.open = true)));
