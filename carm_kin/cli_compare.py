@@ -153,11 +153,10 @@ def _recording(
     console.print(f"{len(recording)} poses, the same for every solver; {left_out} left out that disagree")
     _show(console, compare_view.tables(found))
     for run in found.runs:
-        reason = (
-            run.reason.message if run.reason else run.held_out_reason and f"no held-out errors: {run.held_out_reason}"
-        )
-        if reason:
-            console.print(f"{run.solver}: {reason}", soft_wrap=True)
+        if run.reason:
+            console.print(f"{run.solver}: {run.reason.message}", soft_wrap=True)
+        if run.held_out_reason:
+            console.print(f"{run.solver}: no held-out errors: {run.held_out_reason}", soft_wrap=True)
     if not any(run.result for run in found.runs):
         raise RefusedError("no_result", "no solver has a result")
 

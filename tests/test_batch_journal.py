@@ -1,13 +1,12 @@
 """What a batch does again when it goes on, and what it leaves: by the journal, the key of a job, the files in place."""
 
 import json
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command import Ended, fails, run
+from here import Here
 from many import simulated
 
 import carm_kin
@@ -17,21 +16,6 @@ from carm_kin.journal import Journal, Line
 from carm_kin.settings import Settings
 
 LINE = Line("a", "a.csv", "ok", "", "", "00", "11")
-
-
-class Here:
-    """A worker in this process, which starts at once."""
-
-    window, lost = 1, ()
-
-    def __init__(self, count: int):
-        assert count == 1
-
-    def executor(self, window: int):
-        return nullcontext(ThreadPoolExecutor(1))
-
-    def check(self):
-        pass
 
 
 @pytest.fixture(autouse=True)

@@ -16,7 +16,7 @@ from carm_kin import cli
 from carm_kin.result import CalibrationResult
 from carm_kin.urdf import bundled_urdfs
 
-COMMANDS = ("demo", "inspect", "simulate", "calibrate", "check")
+COMMANDS = ("demo", "inspect", "simulate", "calibrate", "check", "compare", "batch")
 
 
 @pytest.fixture(scope="module")
