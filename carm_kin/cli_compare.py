@@ -22,7 +22,7 @@ from carm_kin.terminal import Stderr, to_stdout
 
 if TYPE_CHECKING:
     from carm_kin.compare import Comparison
-    from carm_kin.compare_study import Study
+    from carm_kin.study_result import Study
 
 STUDY = "A study of simulated recordings: --repeat, --urdf, and"
 STUDIED = ("direct", "decomposed")

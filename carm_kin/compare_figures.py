@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carm_kin.compare import TRUTH, Comparison
-from carm_kin.compare_study import Study
 from carm_kin.compare_view import reference_of
 from carm_kin.figures import COLOURS, figure
 from carm_kin.result import CalibrationResult
+from carm_kin.study_result import Study
 from carm_kin.study_view import NUMBERS, Number, scaled
 
 if TYPE_CHECKING:
