@@ -53,7 +53,9 @@ class Batch:
             if entry.label in known and self._holds(known[entry.label], entry, here)
         }
 
-    def run(self, workers: Workers, done: dict[str, Line], told: Callable[[Line], None]) -> list[Line]:
+    def run(
+        self, workers: Workers, done: dict[str, Line], told: Callable[[Line], None] = lambda line: None
+    ) -> list[Line]:
         """Do all recordings but those ``done``; ``told`` hears of each as it ends. The summary comes last.
 
         Whatever ends this early (KeyboardInterrupt, WorkersLostError, a kill), what is done stays in the journal.

@@ -24,7 +24,7 @@ from carm_kin.terminal import Stderr, to_stdout
 
 if TYPE_CHECKING:
     from carm_kin.compare import Comparison
-    from carm_kin.compare_study import Study
+    from carm_kin.study_result import Study
 
 STUDY = "A study of simulated recordings: --repeat, --urdf, and"
 STUDIED = ("direct", "decomposed")
@@ -159,11 +159,10 @@ def _recording(
     console.print(f"{len(recording)} poses, the same for every solver; {left_out} left out that disagree")
     _show(console, compare_view.tables(found))
     for run in found.runs:
-        reason = (
-            run.reason.message if run.reason else run.held_out_reason and f"no held-out errors: {run.held_out_reason}"
-        )
-        if reason:
-            console.print(f"{run.solver}: {reason}", soft_wrap=True)
+        if run.reason:
+            console.print(f"{run.solver}: {run.reason.message}", soft_wrap=True)
+        if run.held_out_reason:
+            console.print(f"{run.solver}: no held-out errors: {run.held_out_reason}", soft_wrap=True)
     if not any(run.result for run in found.runs):
         raise RefusedError("no_result", "no solver has a result")
 

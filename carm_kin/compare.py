@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 import solvers
+from carm_kin.cli_arguments import joint_names
 from carm_kin.differences import Difference, differences
 from carm_kin.errors import InputError, RefusedError
 from carm_kin.held_out import HeldOut
@@ -105,6 +106,7 @@ def compare(
     chosen = tuple(dict.fromkeys(names or every))
     for name in chosen:
         replace(settings, solver=name).check()
+    joint_names(recording, settings.urdf, settings.sensor_link, settings.angular, settings.orbital)
     runs = tuple(_run(recording, replace(settings, solver=name), folds) for name in chosen)
     found = [difference for a, b in combinations(runs, 2) for difference in _between(a, b.result, b.solver)]
     if truth is not None:

@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from carm_kin.compare import TRUTH, Comparison
-from carm_kin.compare_study import Study
 from carm_kin.compare_view import reference_of
 from carm_kin.figures import COLOURS, figure
 from carm_kin.result import CalibrationResult
+from carm_kin.study_result import Study
 from carm_kin.study_view import NUMBERS, Number, scaled
 
 if TYPE_CHECKING:
@@ -34,8 +34,10 @@ def comparison_figure(comparison: Comparison, truth: CalibrationResult | None) -
     _points(panels[1, 0], {name: scaled(held[name], None, 1e3) for name in results})
     times = {run.solver: run.time_s for run in comparison.runs}
     _points(panels[1, 1], {name: scaled(times[name], None, 1e3) for name in results})
-    bars = f"mm, bars {SIGMAS:g} sigmas"
-    titles = (f"offset less that of {other}, {bars}", f"major radius less that of {other}, {bars}")
+    less = f"less that of {'the truth' if truth else other}, mm, bars {SIGMAS:g} sigmas"
+    titles = (f"offset {less}", f"major radius {less}")
+    for panel in panels[0]:
+        panel.axvline(0, color="#6b7280", linewidth=1)
     for panel, title in zip(panels.flat, (*titles, "held-out position error, RMS, mm", "time, ms"), strict=True):
         panel.set_title(title, loc="left", fontsize=9)
     return drawn

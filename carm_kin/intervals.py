@@ -31,7 +31,8 @@ def median(values: Array) -> Array:
 
 def ratio_of_rms(values: Array) -> Array:
     """The RMS of the first row over that of the second; ``values`` is (2, ..., N)."""
-    return rms(values[0]) / rms(values[1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return rms(values[0]) / rms(values[1])
 
 
 def estimated(values: Array, statistic: Statistic) -> tuple[float | None, Interval | None]:

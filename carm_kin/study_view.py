@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 from rich.table import Table
 
-from carm_kin.compare_study import PairStudy, SolverStudy, Study
 from carm_kin.compare_view import NONE, empty_table
 from carm_kin.intervals import Interval
 from carm_kin.rows import Cell
+from carm_kin.study_result import PairStudy, SolverStudy, Study
 
 Number = tuple[float | None, Interval | None]
 DEG = float(np.degrees(1.0))

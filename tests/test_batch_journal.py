@@ -1,37 +1,30 @@
 """What a batch does again when it goes on, and what it leaves: by the journal, the key of a job, the files in place."""
 
 import json
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
+import os
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command import Ended, fails, run
+from here import Here
 from many import simulated
 
 import carm_kin
+from carm_kin.batch import Batch
 from carm_kin.batch_job import calibrate_file, versions
+from carm_kin.batch_list import entries
 from carm_kin.errors import InputError
 from carm_kin.journal import Journal, Line
 from carm_kin.settings import Settings
+from carm_kin.urdf import bundled_urdfs
+
+ROOT = Path(__file__).parents[1]
 
 LINE = Line("a", "a.csv", "ok", "", "", "00", "11")
-
-
-class Here:
-    """A worker in this process, which starts at once."""
-
-    window, lost = 1, ()
-
-    def __init__(self, count: int):
-        assert count == 1
-
-    def executor(self, window: int):
-        return nullcontext(ThreadPoolExecutor(1))
-
-    def check(self):
-        pass
 
 
 @pytest.fixture(autouse=True)
@@ -53,11 +46,9 @@ def recordings(tmp_path_factory) -> Path:
 @pytest.fixture(scope="module")
 def finished(recordings, tmp_path_factory) -> dict[str, bytes]:
     """The files of a batch's folder."""
-    from carm_kin.batch import Batch
-    from carm_kin.batch_list import entries
 
     out = tmp_path_factory.mktemp("finished")
-    Batch(tuple(entries([recordings], {}, out)), out).run(Here(1), {}, lambda line: None)
+    Batch(tuple(entries([recordings], {}, out)), out).run(Here(1), {})
     return {str(path.relative_to(out)): path.read_bytes() for path in out.rglob("*") if path.is_file()}
 
 
@@ -195,8 +186,6 @@ def test_the_command_in_a_result_makes_the_same_result(recordings, tmp_path, mon
 
 
 def test_with_a_urdf_its_chain_is_calibrated_and_its_bytes_are_in_the_key(recordings, tmp_path):
-    from carm_kin.urdf import bundled_urdfs
-
     machine = tmp_path / "own.urdf"
     machine.write_bytes(bundled_urdfs()["mobile_nonisocentric"].read_bytes())
     reports = [calibrate_file(recordings / "first.csv", Settings(urdf=str(machine)), versions())]
@@ -230,3 +219,26 @@ def test_the_last_line_of_a_label_counts(tmp_path):
     journal.append(Line("a", "a.csv", "killed", "", "died", None, None))
     journal.append(LINE)
     assert journal.read() == {"a": LINE}
+
+
+def test_the_script_and_the_list_in_the_docs_work(recordings, tmp_path):
+    text = (ROOT / "docs" / "batch.md").read_text(encoding="utf-8")
+    blocks = {kind: re.findall(rf"```{kind}\n(.*?)```", text, re.DOTALL) for kind in ("python", "toml")}
+    (tmp_path / "recordings").mkdir()
+    for name in ("first", "third"):
+        (tmp_path / "recordings" / f"{name}.csv").write_bytes((recordings / f"{name}.csv").read_bytes())
+    (tmp_path / "script.py").write_text(blocks["python"][0])
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    ended = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, env=env, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert [line.split()[:2] for line in ended.stdout.splitlines()] == [["first", "ok"], ["third", "refused"]]
+    assert (tmp_path / "calibrated/results/first.json").exists()
+    for name in ("monday/a.csv", "tuesday.csv", "lift/b.csv", "our_carm.urdf"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(bundled_urdfs()["mobile_skewed"].read_bytes())
+    (tmp_path / "list.toml").write_text(blocks["toml"][0])
+    found = {entry.label: entry.settings for entry in entries([tmp_path / "list.toml"], {}, tmp_path / "out")}
+    assert found.keys() == {"a", "patient 12", "b"}
+    assert {settings.cross_validate for settings in found.values()} == {5}

@@ -16,7 +16,7 @@ from carm_kin import cli
 from carm_kin.result import CalibrationResult
 from carm_kin.urdf import bundled_urdfs
 
-COMMANDS = ("demo", "inspect", "simulate", "calibrate", "check", "centre", "export", "convert", "experiment")
+COMMANDS = ("demo", "inspect", "simulate", "calibrate", "compare", "check", "centre", "batch", "export", "convert")
 
 
 @pytest.fixture(scope="module")
