@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 from command import fails, run
 from here import Here
+from scipy.stats import chi2
 
 import carm_kin
 from carm_kin.compare import Comparison, agreeing, compare
 from carm_kin.compare_study import Simulation, study
+from carm_kin.compare_view import apart_from
 from carm_kin.errors import InputError
 from carm_kin.local_workers import LocalWorkers
 from carm_kin.recording import Recording
@@ -89,6 +91,16 @@ def test_every_two_solvers_are_compared_once(compared):
     names = [run.solver for run in compared.runs]
     expected = [(a, b) for i, a in enumerate(names) for b in names[i + 1 :]] + [(name, "truth") for name in names]
     assert pairs == expected
+
+
+@pytest.mark.parametrize("solver", ["direct", "surface"])
+def test_a_solver_is_shown_in_its_own_sigmas_and_in_those_of_the_reference(solver, compared):
+    """``direct`` stands before ``kinematic`` and ``surface`` behind it."""
+    results = {run.solver: run.result for run in compared.runs}
+    shown = apart_from(compared, "kinematic")[solver]["major radius"]
+    apart = abs(results[solver].major_radius_m - results["kinematic"].major_radius_m)
+    assert shown.own == pytest.approx(apart / results[solver].sigma.major_radius_m)
+    assert shown.other == pytest.approx(apart / results["kinematic"].sigma.major_radius_m)
 
 
 def test_a_solver_that_the_recording_does_not_allow_says_why(thinned):
@@ -212,23 +224,27 @@ def test_a_missing_matplotlib_says_how_to_get_it(rec, monkeypatch, capsys):
 def test_a_study_measures_errors_that_can_be_made_again_by_hand():
     simulation = Simulation("mobile_nonisocentric", "minimal", SIGMA_T_M, SIGMA_R_RAD)
     told = []
-    found = study(simulation, ["kinematic", "decomposed"], 3, Here(), seed=5, told=told.append)
-    assert found.seeds == (5, 6, 7)
-    assert sorted(told) == ["seed 5", "seed 6", "seed 7"]
-    squares = []
+    found = study(simulation, ["kinematic", "decomposed"], 8, Here(), seed=5, told=told.append)
+    assert found.seeds == tuple(range(5, 13))
+    assert sorted(told) == sorted(f"seed {seed}" for seed in found.seeds)
+    squares, inside = [], []
     for seed, error in zip(found.seeds, found.offset_errors_m[0], strict=True):
         recording, truth = carm_kin.simulate(
             "mobile_nonisocentric", "minimal", sigma_t_m=SIGMA_T_M, sigma_r_rad=SIGMA_R_RAD, seed=seed
         )
-        offset = carm_kin.calibrate(recording, "kinematic").offset_sensor_pivot_m
-        assert error == pytest.approx(np.linalg.norm(offset - truth.offset_sensor_pivot_m), rel=1e-9)
+        result = carm_kin.calibrate(recording, "kinematic")
+        by_hand = result.offset_sensor_pivot_m - truth.offset_sensor_pivot_m
+        assert error == pytest.approx(np.linalg.norm(by_hand), rel=1e-9)
         squares.append(error**2)
+        weight = np.linalg.inv(result.covariance.block("offset_sensor_pivot"))
+        inside.append(by_hand @ weight @ by_hand <= chi2.ppf(0.95, 3))
     first = found.solvers[0]
+    assert first.coverage == np.mean(inside)
     assert first.offset_rms_m == pytest.approx(np.sqrt(np.mean(squares)))
     low, high = first.offset_rms_95_m
     assert min(squares) ** 0.5 <= low <= first.offset_rms_m <= high <= max(squares) ** 0.5
     (pair,) = found.pairs
-    assert (pair.first, pair.second, pair.runs) == ("kinematic", "decomposed", 3)
+    assert (pair.first, pair.second, pair.runs) == ("kinematic", "decomposed", 8)
     assert pair.offset_ratio == pytest.approx(first.offset_rms_m / found.solvers[1].offset_rms_m)
     nearer = np.mean(np.array(found.offset_errors_m[0]) < np.array(found.offset_errors_m[1]))
     assert pair.first_nearer == nearer

@@ -52,8 +52,9 @@ def pid() -> int:
 
 
 def threads() -> dict[str, int]:
-    """How many threads each mathematical library of the worker may use."""
+    """How many threads each mathematical library of the worker may use, and one that is loaded later."""
     import scipy.linalg  # noqa: F401
     from threadpoolctl import threadpool_info
 
-    return {library["filepath"]: int(library["num_threads"]) for library in threadpool_info()}
+    now = {library["filepath"]: int(library["num_threads"]) for library in threadpool_info()}
+    return now | {"later": int(os.environ.get("OPENBLAS_NUM_THREADS", 0))}
