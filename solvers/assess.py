@@ -4,7 +4,7 @@ Every solver's chain is judged by the same likelihood, so that residuals can be 
 docs/refusals.md lists the codes.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -53,7 +53,8 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
     used = np.ones(len(problem), dtype=bool) if estimate.used is None else estimate.used
     part = problem if used.all() else problem.select(used)
     if estimate.torus is None or len(part) < limits.min_poses:
-        return _assess_positions(part, estimate, used, limits)
+        found = _assess_positions(part, estimate, used, limits)
+        return replace(found, refusal=_hardly_any(problem, part, limits) or found.refusal)
     torus = estimate.torus
     if estimate.angles is None:
         angles, at = kinematic.fit_angles(part, torus)
@@ -162,6 +163,17 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
         unobservable=estimate.unobservable,
         notes=(),
         refusal=refusal,
+    )
+
+
+def _hardly_any(problem: Problem, part: Problem, limits: Limits) -> Note | None:
+    """Why of enough poses too few were used."""
+    if not len(part) < limits.min_poses <= len(problem) or problem.R_world_sensor is None:
+        return None
+    if one_axis := turns_about_one_axis(problem):
+        return Note("one_axis_only", "; ".join(one_axis))
+    return Note(
+        "too_many_outliers", f"{len(part)} of {len(problem)} poses agree with each other; the others with no C-arm"
     )
 
 

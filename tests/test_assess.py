@@ -13,6 +13,7 @@ from carm_kin.recording import Recording
 from solvers import kinematic
 from solvers.assess import Limits, assess
 from solvers.problem import Problem
+from solvers.se3 import rotation_from_quat_wxyz
 
 SIGMA = 5e-4, 1e-3
 TURN = np.arange(0, 360, 6)
@@ -189,3 +190,14 @@ def test_the_limits_are_those_given():
         refusal = assess(given, estimate, limits).refusal
         assert refusal is not None
         assert refusal.code == code
+
+
+def test_a_single_sweep_has_one_axis_even_where_no_pose_was_used():
+    """The solver may reject every pose of a circle; there are enough of them all the same."""
+    given = problem(machine(1), sweeps_deg((-90,), range(0, 360, 4), (), ()), 3e-4, 1e-3)
+    estimate = replace(kinematic.solve(given), used=np.zeros(len(given), dtype=bool))
+    assert assess(given, estimate).refusal.code == "one_axis_only"
+    scattered = replace(
+        given, R_world_sensor=rotation_from_quat_wxyz(np.random.default_rng(0).normal(size=(len(given), 4)))
+    )
+    assert assess(scattered, estimate).refusal.code == "too_many_outliers"
