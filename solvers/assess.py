@@ -167,14 +167,11 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
 
 
 def _hardly_any(problem: Problem, part: Problem, limits: Limits) -> Note | None:
-    """Why of enough poses too few were used."""
+    """Why of enough poses too few were used, where the orientations tell."""
     if not len(part) < limits.min_poses <= len(problem) or problem.R_world_sensor is None:
         return None
-    if one_axis := turns_about_one_axis(problem):
-        return Note("one_axis_only", "; ".join(one_axis))
-    return Note(
-        "too_many_outliers", f"{len(part)} of {len(problem)} poses agree with each other; the others with no C-arm"
-    )
+    one_axis = turns_about_one_axis(problem)
+    return Note("one_axis_only", "; ".join(one_axis)) if one_axis else None
 
 
 def _spread(values: Array, used: np.ndarray) -> Array:
