@@ -19,6 +19,7 @@ from carm_kin.stations import refitted
 from solvers.assess import Limits, assess
 from solvers.estimate import Note
 from solvers.problem import Problem
+from solvers.se3 import Array
 
 EXTENT_M = (0.005, 100.0)
 """Positions that span less than the first while the sensor turns, or more than the second, are in a wrong unit."""
@@ -90,7 +91,7 @@ def _calibrated(
         raise InputError(f"the recording has no orientations (qw, qx, qy, qz), which '{name}' needs; use 'surface'")
     refusal = Note("too_few_poses", f"{len(problem)} poses; at least {limits.min_poses} are needed")
     if len(problem) >= limits.min_poses:
-        refusal = _wrong_unit(problem) or _small_placement(whole, kept)
+        refusal = wrong_unit(problem.p_world_sensor, problem.R_world_sensor) or _small_placement(whole, kept)
     if refusal:
         return refused_result(recording, name, asdict(options), refusal, provenance)
     try:
@@ -139,10 +140,10 @@ def _check_noise(name: str, value: float | None) -> None:
         raise InputError(f"{name} must be a finite number above 0, not {value}")
 
 
-def _wrong_unit(problem: Problem) -> Note | None:
-    """A refusal for positions of a size that no C-arm has while its sensor turns."""
-    extent = float(np.ptp(problem.p_world_sensor, axis=0).max(initial=0.0))
-    turned = problem.R_world_sensor is None or np.ptp(problem.R_world_sensor, axis=0).max() > TURNED
+def wrong_unit(p_world_sensor: Array, R_world_sensor: Array | None) -> Note | None:
+    """A refusal for positions (N, 3) of a size that no C-arm has while its sensor turns, (N, 3, 3)."""
+    extent = float(np.ptp(p_world_sensor, axis=0).max(initial=0.0))
+    turned = R_world_sensor is None or np.ptp(R_world_sensor, axis=0).max() > TURNED
     large = extent > EXTENT_M[1]
     if not large and not (turned and extent < EXTENT_M[0]):
         return None

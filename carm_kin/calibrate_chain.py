@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from carm_kin import result as r
+from carm_kin.calibrate import wrong_unit
 from carm_kin.chain import chain_of
 from carm_kin.chain_assembly import SOLVER, Blank, Recorded, result_of_chain
 from carm_kin.chain_model import ChainModel, chain_model
@@ -85,7 +86,8 @@ def calibrate_chain(
     if len(gathered.problem) < limits.min_poses:
         words = f"{len(gathered.problem)} poses; at least {limits.min_poses} are needed"
         return blank.refused(Note("too_few_poses", words), gathered.notes)
-    estimate = fit(gathered.problem, model, unknown, chosen)
+    T = gathered.problem.T_world_sensor
+    estimate = wrong_unit(T[:, :3, 3], T[:, :3, :3]) or fit(gathered.problem, model, unknown, chosen)
     if isinstance(estimate, Note):
         return blank.refused(estimate, gathered.notes)
     nominal = nominal_fit(gathered.problem, model, estimate)

@@ -22,6 +22,8 @@ from solvers.robot_world import robot_world
 from solvers.se3 import Array
 from solvers.torus import near_median
 
+STATION = 10
+"""Least poses on average at one position of the other joints by which these tell one place of the two axes."""
 ROUNDS = 12
 """Gauss-Newton steps for the values of joints that neither a reading nor the two-axis solver tells."""
 
@@ -96,12 +98,15 @@ def _angles(problem: ChainProblem, sensor: int, pair: tuple[int, int]) -> list[A
 def _turns(
     problem: ChainProblem, known: Array, sensor: int, pair: tuple[int, int], chosen: np.ndarray
 ) -> Iterator[Array]:
-    """The two angles (N, J) of all poses of a sensor, by the two-axis machine of the ``chosen`` ones."""
+    """The two angles (N, J) of all poses of a sensor, by the two-axis machine of the ``chosen`` ones. It stands
+    elsewhere where the other joints do, if they stand still long enough."""
     here = np.flatnonzero(problem.sensor == sensor)
     station = np.delete(known, pair, axis=1)
     station = np.concatenate([problem.placement[:, None], np.round(station, 9)], axis=1)
     number = np.full(len(problem), -1)
     number[chosen] = np.unique(station[chosen], axis=0, return_inverse=True)[1].ravel()
+    if len(chosen) < STATION * (number.max() + 1):
+        number[chosen] = np.unique(problem.placement[chosen], return_inverse=True)[1]
     for p in np.unique(problem.placement[here]):
         inside = chosen[problem.placement[chosen] == p]
         number[here[(problem.placement[here] == p) & (number[here] < 0)]] = number[inside[0]] if inside.size else 0

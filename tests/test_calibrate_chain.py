@@ -72,6 +72,30 @@ def test_an_arm_without_noise_is_found_exactly():
     assert max(t, w) < 1e-9
 
 
+@pytest.mark.parametrize("unread", [["j1"], ["j4"], ["j5", "j6"]])
+def test_joints_that_nobody_reads(unread):
+    """Their values are unknown at every pose; all but their zeros is told."""
+    truth, _, recording, _ = arm_recording(8)
+    blank = {name: np.full(100, np.nan) for name in unread}
+    result = calibrate_chain(
+        recorded(poses_of(recording), joints={**recording.joints, **blank}), parsed(arm()), **ARM_AXES
+    )
+    assert result.refusal is None
+    assert result.noise.translation_m == pytest.approx(SIGMA_T, rel=0.2)
+    assert sum(len(joint.estimated) for joint in result.chain.joints) <= 4 * 6 + 6 - 12
+    g = nominal_geometry(chain_of(parsed(truth), "tool", "j1", "j2"))
+    if unread == ["j1"]:  # a zero of j1 turns the base alone
+        assert (np.abs(result.offset_sensor_pivot_m - g.offset) < 5 * result.sigma.offset_sensor_pivot_m).all()
+
+
+def test_two_joints_near_the_base_that_nobody_reads_are_refused():
+    """The start has nothing to go by; it says so instead of trying every pose as a place of its own."""
+    recording = arm_recording(8)[2]
+    joints = {name: values for name, values in recording.joints.items() if name not in ("j1", "j2")}
+    result = calibrate_chain(recorded(poses_of(recording), joints=joints), parsed(arm()), **ARM_AXES)
+    assert result.status == "refused"
+
+
 @pytest.mark.parametrize("share", [0.2, 0.4])
 def test_gross_outliers_of_an_arm_are_listed(share):
     truth, base, recording, gross = arm_recording(7, outliers=share, sigma_q=np.radians(0.02))

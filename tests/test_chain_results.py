@@ -1,6 +1,7 @@
 """What a chain's result says beside its numbers, and what is refused."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -93,6 +94,26 @@ def test_small_errors_of_numbers_that_are_not_free_are_warned_of():
     assert "most of all the origin of j3" in note.message
     sound = calibrate_chain(recorded(T, joints=q), parsed(text), free=FreeJoints(("j6",)), **ARM_AXES, **EXACT)
     assert "more_to_free" not in codes(sound)
+
+
+@pytest.mark.parametrize("factor, words", [(1e3, "millimetres read as|no machine"), (1e-3, "metres read as")])
+def test_a_wrong_unit_is_a_misfit(factor, words):
+    recording = c_arm_recording(1, C_JOINTS)[2]
+    T = poses_of(recording)
+    T[:, :3, 3] *= factor
+    found = refusal(recorded(T, joints=recording.joints, prismatic=recording.prismatic))
+    assert found.code == "misfit"
+    assert re.search(words, found.message)
+
+
+@pytest.mark.parametrize("change", ["inverted", "transposed"])
+def test_poses_turned_round_are_a_misfit(change):
+    recording = c_arm_recording(1, C_JOINTS)[2]
+    T = poses_of(recording)
+    turned = np.linalg.inv(T) if change == "inverted" else T
+    if change == "transposed":
+        turned[:, :3, :3] = np.swapaxes(T[:, :3, :3].copy(), 1, 2)
+    assert refusal(recorded(turned, joints=recording.joints, prismatic=recording.prismatic)).code == "misfit"
 
 
 def test_readings_of_the_wrong_sign_are_a_misfit():
