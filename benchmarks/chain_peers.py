@@ -106,7 +106,7 @@ def recorded(scene: Scene, urdf: UrdfFile, seed: int) -> tuple[Array, Array, Arr
     gross = rng.permutation(n)[: round(scene.outliers * n)]
     direction = rng.normal(size=(len(gross), 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    T[gross, :3, 3] += direction * rng.uniform(*scenes.OUTLIER_M, (len(gross), 1))
+    T[gross, :3, 3] += direction * rng.uniform(*scenes.OUTLIER_M, (len(gross), 1))  # pyright: ignore
     T[gross, :3, :3] = rotation_from_quat_wxyz(rng.normal(size=(len(gross), 4)))
     return q + scene.sigma_reading * rng.normal(size=q.shape), T, fresh, base @ truth.forward_kinematics(fresh)
 
