@@ -19,6 +19,7 @@ import numpy as np
 
 from benchmarks import peers_chain, scenes
 from carm_kin.chain import chain_of
+from carm_kin.scenes import OUTLIER_M
 from carm_kin.urdf import UrdfFile, parse_urdf, patch_origins
 from solvers.se3 import Array, exp_se3, exp_so3, log_so3, rotation_from_quat_wxyz
 
@@ -106,7 +107,7 @@ def recorded(scene: Scene, urdf: UrdfFile, seed: int) -> tuple[Array, Array, Arr
     gross = rng.permutation(n)[: round(scene.outliers * n)]
     direction = rng.normal(size=(len(gross), 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    T[gross, :3, 3] += direction * rng.uniform(*scenes.OUTLIER_M, (len(gross), 1))  # pyright: ignore
+    T[gross, :3, 3] += direction * rng.uniform(*OUTLIER_M, (len(gross), 1))
     T[gross, :3, :3] = rotation_from_quat_wxyz(rng.normal(size=(len(gross), 4)))
     return q + scene.sigma_reading * rng.normal(size=q.shape), T, fresh, base @ truth.forward_kinematics(fresh)
 
