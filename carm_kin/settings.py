@@ -66,6 +66,8 @@ class Settings:
             from carm_kin.urdf import read_urdf
 
             read_urdf(self.urdf)
+        if self.cross_validate is not None and self.cross_validate < 2:
+            raise InputError(f"cross_validate needs at least 2 parts, not {self.cross_validate}")
         _noise(self)
         if name == CHAIN:
             from solvers.chain import Options
