@@ -139,6 +139,7 @@ def _recording(
     true = carm_kin.CalibrationResult.from_json(file) if file else None
     together = agreement(whole, settings)
     recording = whole if all_poses else whole.select(together)
+    left_out = len(whole) - len(recording)
     found = compared(
         recording,
         names,
@@ -150,8 +151,10 @@ def _recording(
     )
     draw = compare_figures.comparison_figure
     _deliver(found, compare_view.rows_of(found), lambda: draw(found, true), output)
-    console.print(f"{len(recording)} of {len(whole)} poses for every solver, errors of {found.counted}")
+    console.print(f"{len(recording)} poses, the same for every solver; {left_out} left out that disagree")
     _show(console, compare_view.tables(found))
+    if found.counted < found.poses:
+        console.print(f"residuals and held-out errors are of the {found.counted} poses that agree")
     for run in found.runs:
         if run.reason:
             console.print(f"{run.solver}: {run.reason.message}", soft_wrap=True)
