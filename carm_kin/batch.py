@@ -34,8 +34,8 @@ class Batch:
         return Journal(self.folder / JOURNAL)
 
     def started(self) -> bool:
-        """Whether the folder holds a batch already."""
-        return self.journal.path.exists()
+        """Whether the folder holds what an earlier batch has done."""
+        return bool(self.journal.read())
 
     def done(self) -> dict[str, Line]:
         """The recordings by label that need not be done again: same input, settings and versions, result in place.

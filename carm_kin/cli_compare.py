@@ -134,22 +134,23 @@ def _recording(
     output: Outputs,
 ) -> None:
     from carm_kin import compare_figures, compare_view
-    from carm_kin.compare import agreeing
+    from carm_kin.compare import agreement
     from carm_kin.compare import compare as compared
 
     console, whole = Stderr(), carm_kin.read_recording(path)
     beside = path.with_suffix(".truth.json")
     file = truth or (beside if beside.is_file() else None)
     true = carm_kin.CalibrationResult.from_json(file) if file else None
-    recording = whole if all_poses else agreeing(whole, settings)
+    together = agreement(whole, settings)
+    recording = whole if all_poses else whole.select(together)
     left_out = len(whole) - len(recording)
     found = compared(
         recording,
         names,
         settings=settings,
+        counted=together if all_poses else None,
         truth=true,
         folds=folds or None,
-        left_out=left_out,
         command=command_line(sys.argv[1:]),
     )
     draw = compare_figures.comparison_figure
@@ -158,11 +159,13 @@ def _recording(
         _report(found, recording, true, output.report)
     console.print(f"{len(recording)} poses, the same for every solver; {left_out} left out that disagree")
     _show(console, compare_view.tables(found))
+    if found.counted < found.poses:
+        console.print(f"residuals and held-out errors are of the {found.counted} poses that agree")
     for run in found.runs:
         if run.reason:
             console.print(f"{run.solver}: {run.reason.message}", soft_wrap=True)
-        if run.held_out_reason:
-            console.print(f"{run.solver}: no held-out errors: {run.held_out_reason}", soft_wrap=True)
+        if run.errors_reason:
+            console.print(f"{run.solver}: no errors of poses: {run.errors_reason}", soft_wrap=True)
     if not any(run.result for run in found.runs):
         raise RefusedError("no_result", "no solver has a result")
 

@@ -3,8 +3,9 @@
 import json
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -12,15 +13,15 @@ from typing import Any
 import numpy as np
 
 import solvers
-from carm_kin.cli_arguments import joint_names
+from carm_kin.cross_validate import cross_validate, errors_of
 from carm_kin.differences import Difference, differences
 from carm_kin.errors import InputError, RefusedError
-from carm_kin.held_out import HeldOut
+from carm_kin.held_out import HeldOut, row_of
 from carm_kin.provenance import provenance_of
 from carm_kin.recording import Recording
 from carm_kin.result import CalibrationResult, Provenance
 from carm_kin.result_json import name_in_file, to_json_value, write_atomically
-from carm_kin.settings import CHAIN, Settings, calibrate_as
+from carm_kin.settings import CHAIN, Settings, calibrate_as, two_axes_arguments
 from solvers.estimate import Note
 
 SCHEMA = "carm-kin/comparison/1"
@@ -40,9 +41,11 @@ class Run:
     """Why there is none: the code of the refusal, or ``not_possible`` for what the recording lacks."""
     time_s: float | None
     """Of the calibration, once warm."""
+    fitted: HeldOut | None
+    """Errors of the counted poses, the fit to all of them being given."""
     held_out: HeldOut | None
-    """Errors of poses that were left out of the fit."""
-    held_out_reason: str | None
+    """Errors of the counted poses, each by a fit that it had no part in."""
+    errors_reason: str | None
     """Why there are none."""
 
 
@@ -51,8 +54,9 @@ class Comparison:
     """What `compare` returns."""
 
     poses: int
-    left_out: int
-    """Poses of the recording that no solver was given, since they disagree with the others."""
+    """What every solver was given."""
+    counted: int
+    """Poses whose errors count, the same for every solver."""
     runs: tuple[Run, ...]
     differences: tuple[Difference, ...]
     """Of every two solvers, and of every solver and the truth."""
@@ -73,15 +77,12 @@ class Comparison:
         return text
 
 
-def agreeing(recording: Recording, settings: Settings = Settings()) -> Recording:
-    """The poses that the solver ``kinematic`` keeps, so that no solver is judged by its treatment of outliers.
-
-    All poses where it has no result.
-    """
-    run = _run(recording, replace(settings, solver=REFERENCE), folds=None)
+def agreement(recording: Recording, settings: Settings = Settings()) -> np.ndarray:
+    """(N,) which poses the solver ``kinematic`` keeps; all where it has no result."""
+    run = _run(recording, replace(settings, solver=REFERENCE), np.ones(len(recording), dtype=bool), None)
     if run.result is None:
-        return recording
-    return recording.select(~np.isin(recording.pose_number, run.result.outliers.indices))
+        return np.ones(len(recording), dtype=bool)
+    return ~np.isin(recording.pose_number, run.result.outliers.indices)
 
 
 def compare(
@@ -89,16 +90,16 @@ def compare(
     names: Sequence[str] | None = None,
     *,
     settings: Settings = Settings(),
+    counted: np.ndarray | None = None,
     truth: CalibrationResult | None = None,
     folds: int | None = 5,
-    left_out: int = 0,
     command: str | None = None,
 ) -> Comparison:
     """Calibrate a recording with the solvers ``names``; by default all, and with a URDF in the settings its chain too.
 
     ``settings`` are those of the joints and of the noise. Every solver has its default options, so that all share the
-    gauge of docs/gauge.md. ``folds`` is the number of parts that are held out in turn, None for no such check;
-    ``left_out`` says how many poses have been taken out before, as by `agreeing`.
+    gauge of docs/gauge.md, and all poses. Errors are of the poses ``counted`` (N,), by default all: `agreement` tells
+    which belong together. ``folds`` is the number of parts that are held out in turn, None for no such check.
 
     Raises InputError for unknown solvers and for joints that the recording does not have.
     """
@@ -106,20 +107,20 @@ def compare(
     chosen = tuple(dict.fromkeys(names or every))
     for name in chosen:
         replace(settings, solver=name).check()
-    joint_names(recording, settings.urdf, settings.sensor_link, settings.angular, settings.orbital)
-    runs = tuple(_run(recording, replace(settings, solver=name), folds) for name in chosen)
+    two_axes_arguments(recording, settings)
+    mask = np.ones(len(recording), dtype=bool) if counted is None else counted
+    runs = tuple(_run(recording, replace(settings, solver=name), mask, folds) for name in chosen)
     found = [difference for a, b in combinations(runs, 2) for difference in _between(a, b.result, b.solver)]
     if truth is not None:
         found += [difference for run in runs for difference in _between(run, truth, TRUTH)]
-    provenance = provenance_of(recording, command, None)
-    return Comparison(len(recording), left_out, runs, tuple(found), provenance)
+    return Comparison(len(recording), int(mask.sum()), runs, tuple(found), provenance_of(recording, command, None))
 
 
 def _between(run: Run, other: CalibrationResult | None, name: str) -> list[Difference]:
     return [] if run.result is None or other is None else differences(run.result, other, run.solver, name)
 
 
-def _run(recording: Recording, settings: Settings, folds: int | None) -> Run:
+def _run(recording: Recording, settings: Settings, counted: np.ndarray, folds: int | None) -> Run:
     name = settings.solver_name
     try:
         calibrate_as(recording, settings)
@@ -127,19 +128,37 @@ def _run(recording: Recording, settings: Settings, folds: int | None) -> Run:
         result = calibrate_as(recording, settings)
         seconds = time.perf_counter() - start
     except InputError as error:
-        return Run(name, None, Note("not_possible", str(error)), None, None, None)
+        return Run(name, None, Note("not_possible", str(error)), None, None, None, None)
     if result.refusal:
-        return Run(name, None, result.refusal, seconds, None, None)
-    held_out, reason = _held_out(recording, settings, folds)
-    return Run(name, result, None, seconds, held_out, reason)
+        return Run(name, None, result.refusal, seconds, None, None, None)
+    fitted, no_fitted = _errors_of(_fitted, recording, settings, result, counted)
+    held_out, no_held_out = None, None
+    if folds is not None:
+        held_out, no_held_out = _errors_of(partial(_held_out, folds), recording, settings, result, counted)
+    return Run(name, result, None, seconds, fitted, held_out, no_fitted or no_held_out)
 
 
-def _held_out(recording: Recording, settings: Settings, folds: int | None) -> tuple[HeldOut | None, str | None]:
-    if folds is None:
-        return None, None
+def _errors_of(of: Callable[..., HeldOut], *given: Any) -> tuple[HeldOut | None, str | None]:
+    """The errors, or why there are none."""
     try:
-        whole = calibrate_as(recording, replace(settings, cross_validate=folds)).cross_validation
+        errors = of(*given)
     except (InputError, RefusedError) as error:
         return None, str(error)
+    return (None, errors.refusal.message) if errors.refusal else (errors, None)
+
+
+def _fitted(recording: Recording, settings: Settings, result: CalibrationResult, counted: np.ndarray) -> HeldOut:
+    arguments = two_axes_arguments(recording, settings)
+    errors = errors_of(recording, result, counted, arguments["angular"], arguments["orbital"])
+    return row_of("fitted", (), errors.poses, errors, None)
+
+
+def _held_out(
+    folds: int, recording: Recording, settings: Settings, result: CalibrationResult, counted: np.ndarray
+) -> HeldOut:
+    if settings.solver_name != CHAIN:
+        arguments = two_axes_arguments(recording, settings)
+        return cross_validate(recording, folds, settings.solver, counted=counted, **arguments).overall
+    whole = calibrate_as(recording, replace(settings, cross_validate=folds)).cross_validation
     assert whole is not None
-    return (whole.overall, None) if whole.overall.refusal is None else (None, whole.overall.refusal.message)
+    return whole.overall

@@ -91,12 +91,12 @@ def _quality(runs: Sequence[Run]) -> Table:
     for run in runs:
         if run.result is None:
             continue
-        residuals, held = run.result.residuals, run.held_out
+        fitted, held = run.fitted, run.held_out
         table.add_row(
             run.solver,
             str(run.result.used),
-            _mm(residuals.translation_rms_m),
-            _deg(residuals.rotation_rms_rad),
+            _mm(fitted and fitted.translation_rms_m),
+            _deg(fitted and fitted.rotation_rms_rad),
             _mm(held and held.translation_rms_m),
             _deg(held and held.rotation_rms_rad),
             NONE if run.time_s is None else f"{run.time_s * 1e3:.1f}",
@@ -125,9 +125,11 @@ def _in_sigmas(cell: Apart, other: str) -> str:
 
 
 def _row(run: Run, errors: dict[str, Apart]) -> dict[str, Cell]:
-    held, reason = run.held_out, run.reason
+    fitted, held, reason = run.fitted, run.held_out, run.reason
     row: dict[str, Cell] = cells(run.result.to_dict() if run.result else None) | {"solver": run.solver}
     row |= {"code": reason.code if reason else "", "reason": reason.message if reason else "", "time_s": run.time_s}
+    row["residual_translation_rms_mm"] = _scaled(fitted and fitted.translation_rms_m, 1e3)
+    row["residual_rotation_rms_deg"] = _scaled(fitted and fitted.rotation_rms_rad, _DEG)
     row["held_out_translation_rms_mm"] = _scaled(held and held.translation_rms_m, 1e3)
     row["held_out_rotation_rms_deg"] = _scaled(held and held.rotation_rms_rad, _DEG)
     for quantity in (OFFSET, MAJOR_RADIUS, MINOR_RADIUS):

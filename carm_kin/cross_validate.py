@@ -32,13 +32,14 @@ def cross_validate(
     *,
     angular: str = "angular",
     orbital: str = "orbital",
+    counted: np.ndarray | None = None,
     **options: Any,
 ) -> CrossValidation:
     """Predict every part of the recording with the fit to the other parts.
 
-    ``folds`` is their number; ``solver`` and ``options`` are those of `carm_kin.calibrate`. Poses that the fit
-    to the whole recording rejects are not scored. A fold without which the rest does not determine the machine or
-    a placement is refused by itself, and says why.
+    ``folds`` is their number; ``solver`` and ``options`` are those of `carm_kin.calibrate`. The poses of the mask
+    ``counted`` (N,) are scored, by default those that the fit to the whole recording does not reject. A fold without
+    which the rest does not determine the machine or a placement is refused by itself, and says why.
 
     Raises InputError for a number of folds that the recording does not allow and a solver that gives no
     complete chain, RefusedError where the whole recording is refused.
@@ -48,7 +49,7 @@ def cross_validate(
     if whole.refusal:
         raise RefusedError(whole.refusal.code, whole.refusal.message)
     torus_of(whole, recording.placements)
-    sound = ~np.isin(recording.pose_number, whole.outliers.indices)
+    sound = ~np.isin(recording.pose_number, whole.outliers.indices) if counted is None else counted
     problem = to_problem(recording, angular, orbital)
     rows: list[HeldOut] = []
     sums: list[Errors] = []
@@ -62,6 +63,20 @@ def cross_validate(
             sums.append(_predicted(recording, problem, fit, scored))
         rows.append(row_of(label, sweeps, scored.sum(), None if refusal else sums[-1], refusal))
     return CrossValidation(folds, overall_of(rows, sums), tuple(rows))
+
+
+def errors_of(
+    recording: Recording,
+    result: CalibrationResult,
+    counted: np.ndarray,
+    angular: str = "angular",
+    orbital: str = "orbital",
+) -> Errors:
+    """Errors of the ``counted`` (N,) poses by a result, the angles that no label tells fitted to them.
+
+    Raises InputError where the result has no complete chain.
+    """
+    return _predicted(recording, to_problem(recording, angular, orbital), result, counted)
 
 
 def fold_of_poses(recording: Recording, folds: int) -> np.ndarray:

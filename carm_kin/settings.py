@@ -66,6 +66,8 @@ class Settings:
             from carm_kin.urdf import read_urdf
 
             read_urdf(self.urdf)
+        if self.cross_validate is not None and self.cross_validate < 2:
+            raise InputError(f"cross_validate needs at least 2 parts, not {self.cross_validate}")
         _noise(self)
         if name == CHAIN:
             from solvers.chain import Options
@@ -99,10 +101,15 @@ def calibrate_as(recording: Recording, settings: Settings, command: str | None =
     return calibrated(recording, settings, command)
 
 
-def _two_axes(recording: Recording, settings: Settings, command: str | None) -> CalibrationResult:
+def two_axes_arguments(recording: Recording, settings: Settings) -> dict[str, Any]:
+    """What `carm_kin.calibrate` takes besides the solver. Raises InputError for joints the recording does not have."""
     names = joint_names(recording, settings.urdf, settings.sensor_link, settings.angular, settings.orbital)
-    chosen: dict[str, Any] = {"locus": settings.locus, "angular": names[0], "orbital": names[1]}
-    chosen |= _noise(settings) | dict(settings.options)
+    chosen = {"locus": settings.locus, "angular": names[0], "orbital": names[1]}
+    return chosen | _noise(settings) | dict(settings.options)
+
+
+def _two_axes(recording: Recording, settings: Settings, command: str | None) -> CalibrationResult:
+    chosen = two_axes_arguments(recording, settings)
     result = calibrate(recording, settings.solver, command=command, **chosen)
     if settings.cross_validate is None or result.refusal:
         return result

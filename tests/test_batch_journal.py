@@ -171,6 +171,16 @@ def test_bad_usage_is_one_line_and_leaves_no_folder(arguments, expected, recordi
     assert [path.name for path in tmp_path.iterdir()] == ["rec.csv"]
 
 
+def test_a_scheduler_that_does_not_answer_leaves_a_folder_that_can_be_used(recordings, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("carm_kin.cluster.CONNECT_S", 0.3)
+    arguments = ("batch", recordings, "-o", tmp_path / "out")
+    assert "no Dask scheduler answers at tcp://127.0.0.1:9" in fails(
+        capsys, *arguments, "--cluster", "tcp://127.0.0.1:9"
+    )
+    assert len(redone(run(capsys, *arguments, "--jobs", 1))) == 3
+
+
 def test_the_command_in_a_result_makes_the_same_result(recordings, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(recordings)
     settings = Settings(solver="closed_form", sigma_t_mm=0.3, cross_validate=2, options={"reject_outliers": False})

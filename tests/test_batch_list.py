@@ -167,6 +167,7 @@ def test_the_urdf_of_a_list_stands_beside_it_and_a_bundled_one_keeps_its_name(fo
         "[[recording]]\npath = 'monday'\nsolver = 'bogus'": "solver 'bogus' is unknown; it is one of chain, closed",
         "[[recording]]\npath = 'monday'\nsolvr = 'direct'": "'solvr' is unknown; it may have path, label, solver",
         "[[recording]]\npath = 'monday'\nsigma_t_mm = 0": "sigma_t_mm must be a finite number above 0",
+        "[[recording]]\npath = 'monday'\ncross_validate = 1": "cross_validate needs at least 2 parts, not 1",
         "[[recording]]\npath = 'monday'\nsigma_t_mm = 'x'": "sigma_t_mm must be a finite number or null, not 'x'",
         "[[recording]]\npath = 'monday'\noptions = { bogus = 1 }": "solver 'kinematic' has no option 'bogus'",
         "[[recording]]\npath = 'monday'\nsolver = 'chain'": "the solver 'chain' needs a urdf",

@@ -12,7 +12,7 @@ from here import Here
 from scipy.stats import chi2
 
 import carm_kin
-from carm_kin.compare import Comparison, agreeing, compare
+from carm_kin.compare import Comparison, agreement, compare
 from carm_kin.compare_study import Simulation, study
 from carm_kin.compare_view import apart_from
 from carm_kin.errors import InputError
@@ -34,12 +34,13 @@ def simulated():
 
 @pytest.fixture(scope="module")
 def thinned(simulated) -> Recording:
-    return agreeing(simulated[0]).select(slice(None, None, 4))
+    recording = simulated[0]
+    return recording.select(agreement(recording)).select(slice(None, None, 4))
 
 
 @pytest.fixture(scope="module")
 def compared(simulated, thinned) -> Comparison:
-    return compare(thinned, truth=simulated[1], folds=2, left_out=39)
+    return compare(thinned, truth=simulated[1], folds=2)
 
 
 @pytest.fixture
@@ -51,7 +52,7 @@ def rec(thinned, simulated, tmp_path) -> Path:
 
 def test_what_disagrees_is_left_out_before_any_solver_sees_it(simulated):
     recording, truth = simulated
-    kept = agreeing(recording).pose_number
+    kept = recording.pose_number[agreement(recording)]
     assert not set(kept) & set(truth.outliers.indices)
     wrongly = len(recording) - len(truth.outliers.indices) - len(kept)
     assert wrongly < 0.005 * len(recording)  # 6 sigma is never reached by noise; the limit is 4.5 or more
@@ -64,7 +65,7 @@ def test_every_solver_gets_the_same_poses_and_comes_near_the_truth(compared, sim
     for run_ in compared.runs:
         if run_.solver == "surface":
             assert run_.held_out is None
-            assert "holds no complete chain" in run_.held_out_reason
+            assert "holds no complete chain" in run_.errors_reason
             continue
         error = np.linalg.norm(run_.result.offset_sensor_pivot_m - truth)
         (difference,) = [
@@ -75,7 +76,29 @@ def test_every_solver_gets_the_same_poses_and_comes_near_the_truth(compared, sim
         held = run_.held_out
         assert held.translation_rms_m == pytest.approx(np.sqrt(3) * SIGMA_T_M, rel=0.25)
         assert held.refusal is None
+        assert (run_.fitted.poses, held.poses) == (len(thinned), len(thinned)), run_.solver
+        assert run_.fitted.translation_rms_m < held.translation_rms_m
         assert run_.time_s > 0
+
+
+def test_errors_of_outliers_do_not_count_where_all_poses_are_given(simulated):
+    """Every solver is scored on the same poses, whatever it rejects itself."""
+    recording = simulated[0]
+    together = agreement(recording)
+    found = compare(recording, ["decomposed", "kinematic"], counted=together, folds=2)
+    assert (found.poses, found.counted) == (len(recording), together.sum())
+    for run_ in found.runs:
+        assert run_.fitted.poses == run_.held_out.poses == together.sum()
+        assert run_.held_out.translation_rms_m < 2.5e-3  # outliers are 50 mm off and more
+    everything = compare(recording, ["kinematic"], folds=None).runs[0]
+    assert everything.fitted.translation_rms_m > 10e-3
+
+
+def test_fitted_errors_are_the_residuals_of_a_solver_that_rejects_nothing(compared):
+    kinematic = next(run for run in compared.runs if run.solver == "kinematic")
+    assert kinematic.result.used == compared.counted
+    assert kinematic.fitted.translation_rms_m == pytest.approx(kinematic.result.residuals.translation_rms_m, rel=1e-3)
+    assert kinematic.fitted.rotation_rms_rad == pytest.approx(kinematic.result.residuals.rotation_rms_rad, rel=1e-3)
 
 
 def test_all_share_one_gauge(compared):
@@ -112,7 +135,7 @@ def test_a_solver_that_the_recording_does_not_allow_says_why(thinned):
     positions = replace(thinned, R_world_sensor=None)
     runs = compare(positions, folds=None).runs
     assert [run.solver for run in runs if run.result] == ["surface"]
-    assert len(agreeing(positions)) == len(positions)
+    assert agreement(positions).all()
 
 
 def test_a_refusal_keeps_its_code(thinned):
@@ -172,11 +195,11 @@ def test_all_poses_are_given_where_that_is_asked_for(simulated, tmp_path, capsys
     recording, truth = simulated
     carm_kin.write_recording(recording, tmp_path / "whole.csv")
     arguments = ("compare", tmp_path / "whole.csv", "--solvers", "kinematic", "--folds", 0)
-    assert (
-        f"{len(recording)} poses, the same for every solver; 0 left out" in run(capsys, *arguments, "--all-poses").err
-    )
-    left_out = int(run(capsys, *arguments).err.split("; ")[1].split()[0])
+    everything, together = (run(capsys, *arguments, *more).err for more in (["--all-poses"], []))
+    left_out = int(together.split("; ")[1].split()[0])
     assert len(truth.outliers.indices) <= left_out <= len(truth.outliers.indices) + 7
+    assert f"{len(recording)} poses, the same for every solver; 0 left out that disagree" in everything
+    assert f"errors are of the {len(recording) - left_out} poses that agree" in everything
 
 
 def test_a_recording_that_no_solver_can_use_ends_with_status_3(thinned, tmp_path, capsys):
