@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
@@ -29,8 +30,9 @@ class Report:
     """The result's JSON, also that of a refusal; None for bad input."""
 
 
+@cache
 def versions() -> dict[str, str]:
-    """The versions of all that has a say in the numbers."""
+    """The versions of all that has a say in the numbers; they do not change while a process runs."""
     return provenance.versions((*provenance.PACKAGES, "scipy"))
 
 
