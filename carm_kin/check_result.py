@@ -1,13 +1,11 @@
 """What a check of a saved calibration finds: metres and radians in Python, named units in its JSON file."""
 
-import json
 import os
-from dataclasses import dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 from carm_kin.result import Provenance
-from carm_kin.result_json import name_in_file, to_json_value, write_atomically
+from carm_kin.result_json import json_text, object_of
 from solvers.estimate import Note
 
 SCHEMA = "carm-kin/check/1"
@@ -68,12 +66,8 @@ class Check:
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the JSON file: mm and degrees, units in the names."""
-        written = {f.name: getattr(self, f.name) for f in fields(self)}
-        return {"schema": SCHEMA} | {name_in_file(k): to_json_value(v, k) for k, v in written.items()}
+        return object_of(SCHEMA, self)
 
     def to_json(self, path: str | os.PathLike | None = None) -> str:
         """The JSON text; written to ``path``, whole or not at all, where one is given."""
-        text = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
-        if path is not None:
-            write_atomically(Path(path), text)
-        return text
+        return json_text(self.to_dict(), path)

@@ -1,13 +1,11 @@
 """Every solver that a recording allows on the same poses and in the same gauge, beside each other and the truth."""
 
-import json
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import combinations
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,7 @@ from carm_kin.held_out import HeldOut, row_of
 from carm_kin.provenance import provenance_of
 from carm_kin.recording import Recording
 from carm_kin.result import CalibrationResult, Provenance
-from carm_kin.result_json import name_in_file, to_json_value, write_atomically
+from carm_kin.result_json import json_text, object_of
 from carm_kin.settings import CHAIN, Settings, calibrate_as, two_axes_arguments
 from solvers.estimate import Note
 
@@ -64,17 +62,14 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the JSON file: mm and degrees, units in the names."""
-        data = {name_in_file(f.name): to_json_value(getattr(self, f.name), f.name) for f in fields(self)}
+        data = object_of(SCHEMA, self)
         for run, value in zip(self.runs, data["runs"], strict=True):
             value["result"] = run.result.to_dict() if run.result else None
-        return {"schema": SCHEMA} | data
+        return data
 
     def to_json(self, path: str | os.PathLike | None = None) -> str:
         """The JSON text; written to ``path``, whole or not at all, where one is given."""
-        text = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
-        if path is not None:
-            write_atomically(Path(path), text)
-        return text
+        return json_text(self.to_dict(), path)
 
 
 def agreement(recording: Recording, settings: Settings = Settings()) -> np.ndarray:

@@ -1,6 +1,5 @@
 """The result of a calibration: metres and radians in Python, named units in its JSON file."""
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -13,12 +12,12 @@ from carm_kin.held_out import CrossValidation
 from carm_kin.intake import Intake
 from carm_kin.result_checks import contradiction
 from carm_kin.result_json import (
+    json_text,
     name_in_file,
     of_json_object,
     of_json_value,
     read_object,
     to_json_value,
-    write_atomically,
 )
 from solvers.covariance import interval_of_magnitude
 from solvers.estimate import Covariance, Note
@@ -200,10 +199,7 @@ class CalibrationResult:
 
         Raises InputError where the place cannot be written.
         """
-        text = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
-        if path is not None:
-            write_atomically(Path(path), text)
-        return text
+        return json_text(self.to_dict(), path)
 
     @staticmethod
     def from_json(path: str | os.PathLike) -> "CalibrationResult":

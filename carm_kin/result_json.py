@@ -6,6 +6,7 @@ a transform ``T_...`` has its translation in mm.
 
 import contextlib
 import json
+import os
 import uuid
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -62,6 +63,23 @@ def write_atomically(path: Path, content: str | bytes) -> None:
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
+
+
+def json_text(data: Mapping[str, Any], path: str | os.PathLike | None) -> str:
+    """The text of a file with this content; written to ``path``, whole or not at all, where one is given.
+
+    Raises InputError where the place cannot be written.
+    """
+    text = json.dumps(data, indent=2, allow_nan=False) + "\n"
+    if path is not None:
+        write_atomically(Path(path), text)
+    return text
+
+
+def object_of(schema: str, record: Any) -> dict[str, Any]:
+    """The content of the file of a dataclass: its schema and all its fields, units in the names."""
+    written = {name_in_file(f.name): to_json_value(getattr(record, f.name), f.name) for f in fields(record)}
+    return {"schema": schema} | written
 
 
 def to_json_value(value: Any, name: str = "") -> Any:

@@ -1,14 +1,12 @@
 """What a study of simulated recordings returns."""
 
-import json
 import os
-from dataclasses import dataclass, fields
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 from carm_kin.intervals import Interval
 from carm_kin.result import Provenance
-from carm_kin.result_json import name_in_file, to_json_value, write_atomically
+from carm_kin.result_json import json_text, object_of
 
 SCHEMA = "carm-kin/study/1"
 
@@ -87,13 +85,8 @@ class Study:
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the JSON file: mm and degrees, units in the names."""
-        return {"schema": SCHEMA} | {
-            name_in_file(f.name): to_json_value(getattr(self, f.name), f.name) for f in fields(self)
-        }
+        return object_of(SCHEMA, self)
 
     def to_json(self, path: str | os.PathLike | None = None) -> str:
         """The JSON text; written to ``path``, whole or not at all, where one is given."""
-        text = json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n"
-        if path is not None:
-            write_atomically(Path(path), text)
-        return text
+        return json_text(self.to_dict(), path)
