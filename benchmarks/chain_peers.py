@@ -19,9 +19,9 @@ import numpy as np
 
 from benchmarks import peers_chain, scenes
 from carm_kin.chain import chain_of
-from carm_kin.scenes import OUTLIER_M
+from carm_kin.noise import Noise, disturbed
 from carm_kin.urdf import UrdfFile, parse_urdf, patch_origins
-from solvers.se3 import Array, exp_se3, exp_so3, log_so3, rotation_from_quat_wxyz
+from solvers.se3 import Array, exp_se3, log_so3
 
 SHIFT, TURN = 3e-3, float(np.radians(0.5))
 """How far every origin and the base is from the nominal one."""
@@ -101,15 +101,9 @@ def recorded(scene: Scene, urdf: UrdfFile, seed: int) -> tuple[Array, Array, Arr
     truth = chain_of(patch_origins(urdf, {j.name: displaced(j.origin, rng) for j in urdf.joints}), peers_chain.TOOL)
     q, fresh = (rng.uniform(-RANGE, RANGE, (n, 6)) for n in (scene.poses, HELD_OUT))
     T = base @ truth.forward_kinematics(q)
-    n = len(T)
-    T[:, :3, 3] += SIGMA_T * rng.normal(size=(n, 3))
-    T[:, :3, :3] = T[:, :3, :3] @ exp_so3(SIGMA_R * rng.normal(size=(n, 3)))
-    gross = rng.permutation(n)[: round(scene.outliers * n)]
-    direction = rng.normal(size=(len(gross), 3))
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    T[gross, :3, 3] += direction * rng.uniform(*OUTLIER_M, (len(gross), 1))
-    T[gross, :3, :3] = rotation_from_quat_wxyz(rng.normal(size=(len(gross), 4)))
-    return q + scene.sigma_reading * rng.normal(size=q.shape), T, fresh, base @ truth.forward_kinematics(fresh)
+    p, R, _ = disturbed(T, Noise(SIGMA_T, SIGMA_R, scene.outliers), rng)
+    readings = q + scene.sigma_reading * rng.normal(size=q.shape)
+    return readings, transform(R, p), fresh, base @ truth.forward_kinematics(fresh)
 
 
 def outcome(name: str, scene: Scene, seed: int) -> Outcome:

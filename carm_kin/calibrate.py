@@ -58,8 +58,8 @@ def calibrate(
             raise InputError(f"locus '{locus}' needs the solver 'direct', not '{name}'")
         options["locus"] = locus
     chosen = options_of(module.Options, name, options)
-    _check_noise("sigma_t_m", sigma_t_m)
-    _check_noise("sigma_r_rad", sigma_r_rad)
+    check_noise("sigma_t_m", sigma_t_m)
+    check_noise("sigma_r_rad", sigma_r_rad)
     again = repeated(recording.p_world_sensor, recording.R_world_sensor)
     if (~again).sum() < limits.min_poses:
         again[:] = False
@@ -135,7 +135,8 @@ def _module(name: str) -> ModuleType:
         raise InputError(f"solver '{name}' is unknown; it is one of {', '.join(solvers.solver_names())}") from None
 
 
-def _check_noise(name: str, value: float | None) -> None:
+def check_noise(name: str, value: float | None) -> None:
+    """Raise InputError for a noise that is not a finite number above 0."""
     if value is not None and not 0 < value < np.inf:
         raise InputError(f"{name} must be a finite number above 0, not {value}")
 

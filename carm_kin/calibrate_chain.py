@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from carm_kin import result as r
-from carm_kin.calibrate import wrong_unit
+from carm_kin.calibrate import check_noise, wrong_unit
 from carm_kin.chain import chain_of
 from carm_kin.chain_assembly import SOLVER, Blank, Recorded, result_of_chain
 from carm_kin.chain_model import ChainModel, chain_model
@@ -163,5 +163,5 @@ def _check_noise(sigma: tuple[float | None, ...]) -> None:
     names = ("sigma_t_m", "sigma_r_rad", "sigma_reading_rad", "sigma_reading_m")
     for name, value in zip(names, sigma, strict=True):
         exact = name.startswith("sigma_reading") and value == 0
-        if value is not None and not exact and not 0 < value < np.inf:
-            raise InputError(f"{name} must be a finite number above 0, not {value}")
+        if not exact:
+            check_noise(name, value)

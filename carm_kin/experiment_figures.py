@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from carm_kin import published
-from carm_kin.errors import MissingDependencyError
 from carm_kin.experiment_page import TITLES, Point, points
 from carm_kin.experiments import DEG, MM, SOLVERS, Outcome
+from carm_kin.figures import figure, save
 
 COLOURS: dict[str, str] = dict(zip(SOLVERS, ("#0b6e4f", "#1f6feb", "#c2410c", "#9333ea"), strict=True))
 PANELS = {
@@ -32,9 +32,8 @@ def draw(found: Sequence[Outcome], folder: Path) -> dict[str, str]:
 
 def _figure(path: Path, columns: dict[str, list[Point]]) -> None:
     """The offset's error above, the frame's orientation below."""
-    plt = _pyplot()
-    figure, axes = plt.subplots(2, len(columns), figsize=(5.2 * len(columns) + 1.6, 6.4), layout="constrained")
-    axes = np.reshape(axes, (2, len(columns)))
+    drawn = figure(5.2 * len(columns) + 1.6, 6.4)
+    axes = np.reshape(drawn.subplots(2, len(columns)), (2, len(columns)))
     for k, (experiment, rows) in enumerate(columns.items()):
         x = [row.value for row in rows]
         for name in SOLVERS:
@@ -54,22 +53,9 @@ def _figure(path: Path, columns: dict[str, list[Point]]) -> None:
     axes[0, 0].set_ylabel("error of the offset, RMS, mm")
     axes[1, 0].set_ylabel("error of the frame, RMS, deg")
     handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False)
-    figure.savefig(path, metadata={"Date": None})
-    plt.close(figure)
+    drawn.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False)
+    save(drawn, path)
 
 
 def _line(ax, x: list[float], y: list[float], name: str) -> None:
     ax.plot(x, y, "o-", color=COLOURS[name], markersize=3, linewidth=1, label=name)
-
-
-def _pyplot():
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise MissingDependencyError("figures need matplotlib: pip install 'carm-kin[figures]'") from error
-    matplotlib.use("svg")
-    matplotlib.rcParams.update({"svg.hashsalt": "carm-kin", "svg.fonttype": "none"})
-    from matplotlib import pyplot
-
-    return pyplot

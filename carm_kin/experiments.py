@@ -8,7 +8,7 @@ geometries: ours are random (`carm_kin.scenes`).
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from zlib import crc32
 
@@ -19,11 +19,9 @@ from carm_kin import scenes
 from carm_kin.errors import InputError
 from carm_kin.scenes import Motion
 from solvers.bound import cramer_rao
-from solvers.elimination import normal_equations
-from solvers.likelihood import AngleModel, linearise
+from solvers.nearest import nearest
 from solvers.problem import Problem
-from solvers.se3 import Array, inverse, log_so3, transform
-from solvers.surface import nearest_angles
+from solvers.se3 import Array, log_so3
 from solvers.torus import Torus
 
 SOLVERS = ("kinematic", "closed_form", "direct", "decomposed")
@@ -34,8 +32,6 @@ NOISELESS = 1e-7
 """Stands for a noise of zero in the bound, m or rad."""
 BAND_M = 0.5e-3
 """Table 1: half-width of the inlier band about the torus surface."""
-FOOT_STEPS, LONGEST_STEP = 8, 0.05
-"""Steps to the foot of a position on the surface, and the longest, rad."""
 REQUIRED_SHARE = 0.8
 """Table 1: required inliers over those that position noise leaves within the band."""
 ALL_ALPHAS, ALL_BETAS = tuple(range(-90, 91, 10)), tuple(range(0, 161, 20))
@@ -164,18 +160,10 @@ def ransac(condition: Condition, seed: int) -> Ransac:
 
 
 def surface_distance(torus: Torus, problem: Problem) -> Array:
-    """(N,) distance of the positions from the torus on which the sensor moves, epsilon = 0, m."""
+    """(N,) distance of the positions from the torus on which the sensor moves, m."""
     positions = Problem.of_poses(problem.p_world_sensor, None)
-    sensor = inverse(torus.T_sensor_carm)[:3, 3]
-    turned = replace(
-        torus, T_sensor_carm=inverse(transform(np.eye(3), [0.0, sensor[1], np.hypot(sensor[0], sensor[2])]))
-    )
-    angles, model = nearest_angles(turned, positions), AngleModel.of(positions)
-    for _ in range(FOOT_STEPS):
-        at = normal_equations(turned, angles, positions, model, (1.0,))
-        step = at.angle_step(np.zeros(len(at.g)))
-        angles = angles + np.clip(step, -LONGEST_STEP, LONGEST_STEP)
-    return np.linalg.norm(linearise(turned, angles, positions).residual, axis=0)
+    angles = nearest(torus, positions, (1.0, 1.0)).T
+    return np.linalg.norm(torus.poses(angles, positions.placement)[:, :3, 3] - positions.p_world_sensor, axis=1)
 
 
 def _within(half_width: float, sigma: float) -> float:

@@ -9,12 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from carm_kin.noise import Noise, disturbed
 from solvers.problem import Problem
-from solvers.se3 import Array, exp_so3, inverse, rotation_from_quat_wxyz, transform
+from solvers.se3 import Array, inverse, rotation_from_quat_wxyz, transform
 from solvers.torus import Torus
-
-OUTLIER_M = (0.05, 0.5)
-"""A gross outlier lies off by a distance between these and has a random orientation."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,15 +84,7 @@ def observed(
 ) -> tuple[Problem, np.ndarray]:
     """The recording with its noise, and the mask (N,) of the poses replaced by gross outliers."""
     T = torus.poses(motion.angles, motion.placement)
-    n = len(T)
-    p = T[:, :3, 3] + sigma_t * rng.normal(size=(n, 3))
-    R = T[:, :3, :3] @ exp_so3(sigma_r * rng.normal(size=(n, 3)))
-    gross = np.zeros(n, dtype=bool)
-    gross[rng.permutation(n)[: round(outliers * n)]] = True
-    k = int(gross.sum())
-    direction = rng.normal(size=(k, 3))
-    p[gross] += direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(*OUTLIER_M, (k, 1))
-    R[gross] = rotation_from_quat_wxyz(rng.normal(size=(k, 4)))
+    p, R, gross = disturbed(T, Noise(sigma_t, sigma_r, outliers), rng)
     return Problem(p, R, motion.placement, motion.held, motion.label), gross
 
 

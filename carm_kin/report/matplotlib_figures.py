@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from carm_kin.errors import MissingDependencyError
 from carm_kin.report.marks import Axis, Bars, Chart, Figure, Line, Points, Space, Surface, Text, keys
 from solvers.se3 import Array
 
@@ -19,10 +18,7 @@ GRID = "#d0d7de"
 
 def needs_matplotlib() -> None:
     """Raises MissingDependencyError where it is not installed."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        raise MissingDependencyError("figures need matplotlib: pip install 'carm-kin[figures]'") from error
+    figure(1, 1)
 
 
 def draw(figure: Figure, files: Sequence[Path]) -> None:
