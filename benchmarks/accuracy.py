@@ -14,10 +14,10 @@ import numpy as np
 import solvers
 from benchmarks import plots, scenes
 from benchmarks.scenes import Motion, noise_or_floor
-from solvers.bound import cramer_rao
-from solvers.covariance import active_unknowns, marginal_covariance
-from solvers.elimination import normal_equations
-from solvers.likelihood import AngleModel
+from solvers.likelihood.bound import cramer_rao
+from solvers.likelihood.covariance import active_unknowns, marginal_covariance
+from solvers.likelihood.elimination import normal_equations
+from solvers.likelihood.linearise import AngleModel
 from solvers.problem import Problem
 from solvers.se3 import Array, log_so3
 from solvers.torus import Torus

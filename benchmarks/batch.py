@@ -15,9 +15,9 @@ from threadpoolctl import threadpool_limits
 
 import carm_kin
 from benchmarks import scenes
-from carm_kin.batch import Batch
-from carm_kin.batch_list import entries
-from carm_kin.local_workers import LocalWorkers
+from carm_kin.batches.batch import Batch
+from carm_kin.batches.entries import entries
+from carm_kin.batches.local_workers import LocalWorkers
 
 SIGMA_T_M, SIGMA_R_RAD = 1e-3, float(np.radians(0.1))
 PROTOCOLS = ("clinical", "paper")

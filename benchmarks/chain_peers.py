@@ -18,10 +18,10 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import peers_chain, scenes
-from carm_kin.chain import chain_of
-from carm_kin.noise import Noise, disturbed
-from carm_kin.urdf import UrdfFile, parse_urdf, patch_origins
-from solvers.se3 import Array, exp_se3, log_so3
+from carm_kin.machine.chain import chain_of
+from carm_kin.machine.urdf import UrdfFile, parse_urdf, patch_origins
+from carm_kin.simulation.noise import Noise, disturbed
+from solvers.se3 import Array, exp_se3, log_so3, transform
 
 SHIFT, TURN = 3e-3, float(np.radians(0.5))
 """How far every origin and the base is from the nominal one."""

@@ -13,8 +13,8 @@ from scipy.special import chdtri
 from benchmarks import scenes
 from benchmarks.scenes import Motion
 from solvers import kinematic
-from solvers.covariance import NORMAL_95, interval_of_magnitude
 from solvers.estimate import Estimate
+from solvers.likelihood.covariance import NORMAL_95, interval_of_magnitude
 from solvers.se3 import Array, orthonormal_complement
 from solvers.torus import Torus
 

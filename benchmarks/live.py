@@ -24,7 +24,7 @@ import numpy as np
 import carm_kin
 from benchmarks import scenes
 from benchmarks.igtl_peer import TOOL
-from carm_kin.recording import Recording
+from carm_kin.recording.recording import Recording
 from solvers.se3 import Array, transform
 
 SIGMA_T_M, SIGMA_R_RAD = 0.3e-3, float(np.radians(0.05))

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from solvers.axes import axes_of
-from solvers.likelihood import LOCAL, AngleModel, linearise, retract
+from solvers.likelihood.linearise import LOCAL, AngleModel, linearise, retract
 from solvers.problem import Problem
 from solvers.se3 import Array
+from solvers.start.axes import axes_of
 from solvers.torus import Torus
 
 

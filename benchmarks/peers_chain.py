@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from carm_kin.calibrate_chain import calibrate_chain
-from carm_kin.chain import chain_of
-from carm_kin.recording import Recording
-from carm_kin.urdf import parse_urdf, patch_origins
+from carm_kin.calibration.chain.calibrate import calibrate_chain
+from carm_kin.machine.chain import chain_of
+from carm_kin.machine.urdf import parse_urdf, patch_origins
+from carm_kin.recording.recording import Recording
 from solvers.se3 import Array
 
 Predictor = Callable[[Array], Array]

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from carm_kin.figures import COLOURS, figure, save
+from carm_kin.report.static import COLOURS, figure, save
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -16,8 +16,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks import scenes
-from carm_kin.declarations import Declarations
-from carm_kin.formats import read_recording
+from carm_kin.recording.declarations import Declarations
+from carm_kin.recording.formats import read_recording
 
 POSES = 100_000
 LARGE = 1_000_000

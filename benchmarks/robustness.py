@@ -13,13 +13,13 @@ from scipy.special import chdtri
 
 import solvers
 from benchmarks import scenes
-from carm_kin.repeated import repeated
+from carm_kin.recording.checks import repeated
 from solvers import kinematic
-from solvers.assess import assess
-from solvers.bound import cramer_rao
+from solvers.likelihood.bound import cramer_rao
 from solvers.problem import Problem
 from solvers.se3 import Array, exp_se3
 from solvers.torus import Torus
+from solvers.verdict.assess import assess
 
 STREAM = 0x0B5
 SIGMA_T, SIGMA_R = 1e-3, float(np.radians(0.1))

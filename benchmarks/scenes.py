@@ -1,4 +1,7 @@
-"""What the studies share: workers, tables, RESULTS.md. Random C-arms and recordings are those of `carm_kin.scenes`."""
+"""What the studies share: workers, tables, RESULTS.md.
+
+Random C-arms and recordings are those of `carm_kin.simulation.scenes`.
+"""
 
 import os
 from collections.abc import Callable, Sequence
@@ -10,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from carm_kin.scenes import Motion, joined, observed, paper, random_frame, random_torus, signs, sweeps_deg
+from carm_kin.simulation.scenes import Motion, joined, observed, paper, random_frame, random_torus, signs, sweeps_deg
 from solvers.problem import Problem
 
 __all__ = ["Motion", "joined", "observed", "paper", "random_frame", "random_torus", "signs", "sweeps_deg"]

@@ -11,11 +11,11 @@ import numpy as np
 
 import carm_kin
 from benchmarks import scenes
-from carm_kin.calibrate_chain import FreeJoints, fit, free_of, nominal_fit
-from carm_kin.chain_model import ChainModel, chain_model
-from carm_kin.chain_problem import gather
-from carm_kin.urdf import UrdfFile, bundled_urdfs, patch_origins, read_urdf
-from solvers.chain import Options, residuals
+from carm_kin.calibration.chain.calibrate import FreeJoints, fit, free_of, nominal_fit
+from carm_kin.calibration.chain.model import ChainModel, chain_model
+from carm_kin.calibration.chain.problem import gather
+from carm_kin.machine.urdf import UrdfFile, bundled_urdfs, patch_origins, read_urdf
+from solvers.chain.chain import Options, residuals
 from solvers.estimate import Note
 from solvers.se3 import exp_se3
 

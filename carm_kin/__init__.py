@@ -5,18 +5,18 @@ result = carm_kin.calibrate(recording)
 result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m
 """
 
-from carm_kin.calibrate import calibrate
-from carm_kin.check import check
-from carm_kin.cross_validate import cross_validate
-from carm_kin.declarations import Declarations
+from carm_kin.calibrated.check import check
+from carm_kin.calibrated.rotation_centre import RotationCentre
+from carm_kin.calibrated.virtual_centre import virtual_centre
+from carm_kin.calibrated.xray import Detector, Xray
+from carm_kin.calibration.calibrate import calibrate
+from carm_kin.calibration.cross_validate import cross_validate
 from carm_kin.errors import CarmKinError, InputError, MissingDependencyError
-from carm_kin.formats import read_recording, write_recording
-from carm_kin.recording import Recording
-from carm_kin.result import CalibrationResult
-from carm_kin.rotation_centre import RotationCentre
-from carm_kin.simulate import simulate
-from carm_kin.virtual_centre import virtual_centre
-from carm_kin.xray import Detector, Xray
+from carm_kin.recording.declarations import Declarations
+from carm_kin.recording.formats import read_recording, write_recording
+from carm_kin.recording.recording import Recording
+from carm_kin.results.result import CalibrationResult
+from carm_kin.simulation.simulate import simulate
 
 __version__ = "0.1.0"
 __all__ = [

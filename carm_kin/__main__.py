@@ -1,5 +1,5 @@
 """``python -m carm_kin``."""
 
-from carm_kin.cli import main
+from carm_kin.cli.main import main
 
 main()

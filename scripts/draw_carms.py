@@ -11,9 +11,9 @@ import lxml.etree as etree
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from carm_kin.chain import NominalGeometry, chain_of, nominal_geometry
-from carm_kin.urdf import UrdfFile, bundled_urdfs, read_urdf
-from carm_kin.virtual import PIVOT, virtual_motions
+from carm_kin.machine.chain import NominalGeometry, chain_of, nominal_geometry
+from carm_kin.machine.urdf import UrdfFile, bundled_urdfs, read_urdf
+from carm_kin.simulation.virtual import PIVOT, virtual_motions
 from solvers.se3 import Array, rot_x, rot_y, rot_z, transform
 
 COLUMNS = 3

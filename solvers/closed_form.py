@@ -1,17 +1,17 @@
 """A closed form that needs no protocol: no labels, no sweeps, no initial guess.
 
-Two small problems give both axes, the offset and the radius (`solvers.axes`), after a search for the poses
-that agree with one C-arm (`solvers.robust`).
+Two small problems give both axes, the offset and the radius (`solvers.start.axes`), after a search for the poses
+that agree with one C-arm (`solvers.start.robust`).
 """
 
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from solvers import robust
-from solvers.axes import STARTS, axes_of
 from solvers.estimate import Estimate
 from solvers.problem import Problem
+from solvers.start import robust
+from solvers.start.axes import STARTS, axes_of
 
 
 @dataclass(frozen=True)

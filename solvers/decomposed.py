@@ -20,8 +20,8 @@ import numpy as np
 
 from solvers.estimate import Estimate
 from solvers.problem import ANGULAR, ORBITAL, Problem
-from solvers.ransac import best_circles, consensus, fit_circles
 from solvers.se3 import Array
+from solvers.start.ransac import best_circles, consensus, fit_circles
 from solvers.torus import Axes
 
 STREAM = 0xDEC0

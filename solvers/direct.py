@@ -12,12 +12,13 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
-from solvers import decomposed, loci, robust
-from solvers.axes import axes_of
+from solvers import decomposed, loci
 from solvers.estimate import Covariance, Estimate
 from solvers.loci import Locus, TwoAxisLocus
 from solvers.problem import Problem
 from solvers.se3 import Array
+from solvers.start import robust
+from solvers.start.axes import axes_of
 
 CHUNK = 1008
 """Poses that one call of the mapped function takes; the last chunk is padded with weight 0."""

@@ -11,14 +11,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import chdtri
 
-from solvers import robust
-from solvers.axes import axes_of
-from solvers.covariance import active_unknowns, covariance_of, marginal_covariance
-from solvers.elimination import Reduced, normal_equations
 from solvers.estimate import Estimate, Note
-from solvers.likelihood import AngleModel, linearise, retract
+from solvers.likelihood.covariance import active_unknowns, covariance_of, marginal_covariance
+from solvers.likelihood.elimination import Reduced, normal_equations
+from solvers.likelihood.linearise import AngleModel, linearise, retract
 from solvers.problem import ANGULAR, ORBITAL, Problem
 from solvers.se3 import Array
+from solvers.start import robust
+from solvers.start.axes import axes_of
 from solvers.torus import Torus, near_median
 
 SIGMA_FLOOR = 1e-7

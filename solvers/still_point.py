@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solvers.covariance import marginal_covariance
+from solvers.likelihood.covariance import marginal_covariance
 from solvers.problem import Problem
 from solvers.se3 import Array, inverse
 

@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from solvers.covariance import active_unknowns, covariance_of, marginal_covariance
-from solvers.elimination import Reduced, normal_equations
 from solvers.estimate import Estimate, Note
-from solvers.likelihood import AngleModel, linearise, retract
+from solvers.likelihood.covariance import active_unknowns, covariance_of, marginal_covariance
+from solvers.likelihood.elimination import Reduced, normal_equations
+from solvers.likelihood.linearise import AngleModel, linearise, retract
 from solvers.problem import Problem
 from solvers.se3 import Array, orthonormal_complement, transform
 from solvers.torus import Torus

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from helpers.places import ROOT
+
 SOLVERS = sorted((ROOT / "solvers").rglob("*.py"))
 CARM_KIN = sorted((ROOT / "carm_kin").rglob("*.py"))
 STANDARD = set(sys.stdlib_module_names)
@@ -60,13 +61,13 @@ def test_solvers_import_only_mathematics(path):
 
 
 @every(CARM_KIN)
-def test_only_the_model_imports_pinocchio(path):
-    if path != ROOT / "carm_kin" / "model.py":
+def test_only_kinematics_imports_pinocchio(path):
+    if path != ROOT / "carm_kin" / "machine" / "kinematics.py":
         assert not {name for name in imports(path) if name.split(".")[0] in ("pinocchio", "pin")}
 
 
-def test_the_model_does_import_pinocchio():
-    assert "pinocchio" in imports(ROOT / "carm_kin" / "model.py")
+def test_kinematics_does_import_pinocchio():
+    assert "pinocchio" in imports(ROOT / "carm_kin" / "machine" / "kinematics.py")
 
 
 @every(CARM_KIN)
@@ -76,10 +77,10 @@ def test_the_package_imports_neither_scripts_nor_tests_nor_benchmarks(path):
 
 @every([*SOLVERS, *CARM_KIN])
 def test_only_the_command_line_prints_and_exits(path):
-    if path == ROOT / "carm_kin" / "cli.py":
+    if path == ROOT / "carm_kin" / "cli" / "main.py":
         return
     forbidden = {"print", "sys.exit", "exit", "quit", "os._exit"}
-    if path != ROOT / "carm_kin" / "terminal.py":
+    if path != ROOT / "carm_kin" / "cli" / "terminal.py":
         forbidden |= {"sys.stdout.write", "sys.stderr.write"}
     assert [f"{name} in line {line}" for name, line in calls(path) if name in forbidden] == []
     raised = [node.exc for node in ast.walk(tree(path)) if isinstance(node, ast.Raise) and node.exc is not None]

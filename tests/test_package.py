@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 import carm_kin
-
-ROOT = Path(__file__).parents[1]
+from helpers.places import ROOT
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +53,7 @@ def test_the_wheel_has_nothing_else(wheel):
 def test_the_wheel_names_its_command_and_licence(wheel):
     info = f"carm_kin-{carm_kin.__version__}.dist-info"
     with zipfile.ZipFile(wheel) as archive:
-        assert "carm-kin = carm_kin.cli:main" in archive.read(f"{info}/entry_points.txt").decode()
+        assert "carm-kin = carm_kin.cli.main:main" in archive.read(f"{info}/entry_points.txt").decode()
         metadata = archive.read(f"{info}/METADATA").decode()
         assert f"{info}/licenses/LICENSE" in archive.namelist()
     assert "License-Expression: BSD-3-Clause" in metadata
@@ -71,7 +70,9 @@ def _run(installed: Path, *arguments: str) -> subprocess.CompletedProcess:
 
 
 def test_an_installed_copy_finds_its_machines(installed):
-    code = "import carm_kin.urdf as u; print(u.__file__); print(*map(str, u.bundled_urdfs().values()), sep='\\n')"
+    code = (
+        "import carm_kin.machine.urdf as u; print(u.__file__); print(*map(str, u.bundled_urdfs().values()), sep='\\n')"
+    )
     ended = _run(installed, "-c", code)
     module, *machines = ended.stdout.splitlines()
     assert module.startswith(str(installed)), ended.stderr

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from carm_kin.errors import InputError, RefusedError
 from carm_kin.exports._wanted import SENSOR_CARM, TRANSFORMS, WORLD_TORUS, Wanted
-from carm_kin.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult
 
 __all__ = ["SENSOR_CARM", "TRANSFORMS", "WORLD_TORUS", "Export", "Wanted", "export_result", "exports"]
 

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from carm_kin.errors import InputError
-from carm_kin.result import CalibrationResult, Placement, PlacementSigma
+from carm_kin.results.parts import Placement, PlacementSigma
+from carm_kin.results.result import CalibrationResult
 from solvers.se3 import Array, transform
 
 SENSOR_CARM, WORLD_TORUS = "sensor-carm", "world-torus"

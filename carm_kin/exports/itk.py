@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from carm_kin.exports._wanted import Wanted, facts, subject_of
-from carm_kin.result import CalibrationResult
-from carm_kin.result_json import write_atomically
+from carm_kin.files import write_atomically
+from carm_kin.results.result import CalibrationResult
 from solvers.se3 import Array, inverse
 
 NAME, ENDING = "itk", ".tfm"

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from carm_kin.exports._wanted import Subject, Wanted, subject_of
-from carm_kin.result import CalibrationResult
-from carm_kin.result_json import write_atomically
+from carm_kin.files import write_atomically
+from carm_kin.results.result import CalibrationResult
 from solvers.se3 import quat_wxyz_from_rotation
 
 NAME, ENDING = "json", ".json"

@@ -7,8 +7,8 @@ from xml.sax.saxutils import quoteattr
 
 from carm_kin.errors import InputError
 from carm_kin.exports._wanted import Subject, Wanted, facts, in_xml_comment, subject_of
-from carm_kin.result import CalibrationResult
-from carm_kin.result_json import write_atomically
+from carm_kin.files import write_atomically
+from carm_kin.results.result import CalibrationResult
 
 NAME, ENDING = "plus", ".xml"
 SUMMARY = "PLUS configuration: a Transform element with matrix (mm), error and date."

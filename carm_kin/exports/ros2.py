@@ -5,8 +5,8 @@ import shlex
 from pathlib import Path
 
 from carm_kin.exports._wanted import Subject, Wanted, facts, subject_of
-from carm_kin.result import CalibrationResult
-from carm_kin.result_json import write_atomically
+from carm_kin.files import write_atomically
+from carm_kin.results.result import CalibrationResult
 from solvers.se3 import quat_wxyz_from_rotation
 
 NAME, ENDING = "ros2", ".yaml"

@@ -1,19 +1,20 @@
 """The calibrated machine as a URDF.
 
-A result of `carm_kin.calibrate_chain` gives back the URDF that was calibrated, with its calibrated origins. Any other
-one gives a small URDF of the two axes: torus, angular joint, orbital joint, and the sensor on the C-arm.
+A result of `carm_kin.calibration.chain.calibrate` gives back the URDF that was calibrated, with its calibrated
+origins. Any other one gives a small URDF of the two axes: torus, angular joint, orbital joint, and the sensor on the
+C-arm.
 """
 
 from dataclasses import replace
 from math import degrees
 from pathlib import Path
 
-from carm_kin.calibrated_urdf import calibrated_urdf
-from carm_kin.chain_result import ChainCalibration, JointChange
+from carm_kin.calibration.chain.calibrated_urdf import calibrated_urdf
 from carm_kin.errors import InputError
 from carm_kin.exports._wanted import Wanted, facts, facts_of_origin, in_xml_comment, subject_of
-from carm_kin.result import CalibrationResult
-from carm_kin.urdf import UrdfFile, add_comment, parse_urdf, patch_origins, read_urdf, write_urdf
+from carm_kin.machine.urdf import UrdfFile, add_comment, parse_urdf, patch_origins, read_urdf, write_urdf
+from carm_kin.results.chain_result import ChainCalibration, JointChange
+from carm_kin.results.result import CalibrationResult
 from solvers.se3 import inverse, rot_z, transform
 
 NAME, ENDING = "urdf", ".urdf"

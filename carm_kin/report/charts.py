@@ -6,7 +6,7 @@ from carm_kin.report.circle import cut, span
 from carm_kin.report.colours import EXPECTED, REJECTED, SERIES, TRIAD
 from carm_kin.report.marks import Axis, Bars, Chart, Line, Mark, Panel, Points
 from carm_kin.report.poses import Fit, Poses
-from carm_kin.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult
 from solvers.problem import ANGULAR, ORBITAL
 from solvers.se3 import Array
 

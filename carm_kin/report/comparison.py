@@ -10,7 +10,7 @@ from carm_kin.report.colours import SERIES, TRIAD
 from carm_kin.report.marks import Axis, Chart, Line, Mark, Panel, Points
 from carm_kin.report.poses import short
 from carm_kin.report.words import number, with_sigma
-from carm_kin.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult
 from solvers.se3 import Array
 
 HEAD = (

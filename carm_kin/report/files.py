@@ -5,14 +5,14 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from carm_kin.errors import InputError
-from carm_kin.recording import Recording
+from carm_kin.recording.recording import Recording
 from carm_kin.report.charts import charts
 from carm_kin.report.comparison import comparison_of
 from carm_kin.report.marks import Figure
 from carm_kin.report.matplotlib_figures import ENDINGS, draw, needs_matplotlib
 from carm_kin.report.poses import Joints, poses_of
 from carm_kin.report.scene import scene
-from carm_kin.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult
 
 
 def write_figures(

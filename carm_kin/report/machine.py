@@ -9,7 +9,7 @@ from carm_kin.report.circle import span
 from carm_kin.report.colours import ELLIPSOID, INK, PIVOT, RAMPS, SURFACE, TRIAD
 from carm_kin.report.marks import Line, Mark, Points, Surface, Text, segments
 from carm_kin.report.poses import Fit, Poses
-from carm_kin.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult
 from solvers.se3 import Array, inverse
 
 MARGIN_RAD = float(np.radians(6))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from carm_kin.report import static
 from carm_kin.report.marks import Axis, Bars, Chart, Figure, Line, Points, Space, Surface, Text, keys
 from solvers.se3 import Array
 
@@ -18,7 +19,7 @@ GRID = "#d0d7de"
 
 def needs_matplotlib() -> None:
     """Raises MissingDependencyError where it is not installed."""
-    figure(1, 1)
+    static.figure(1, 1)
 
 
 def draw(figure: Figure, files: Sequence[Path]) -> None:

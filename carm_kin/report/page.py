@@ -7,9 +7,9 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from carm_kin.files import write_atomically
 from carm_kin.report.marks import Figure, keys
 from carm_kin.report.plotly_figures import plotly_figure, with_words_once
-from carm_kin.result_json import write_atomically
 
 
 def write_page(template: str, out: Path, **content: Any) -> None:

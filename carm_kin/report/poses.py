@@ -5,13 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from carm_kin.cross_validate import torus_of
+from carm_kin.calibration.cross_validate import torus_of
+from carm_kin.calibration.problem import to_problem
 from carm_kin.errors import InputError
-from carm_kin.recording import Recording, to_problem
+from carm_kin.recording.recording import Recording
 from carm_kin.report.colours import RAMPS, SERIES, ramp
-from carm_kin.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult
 from solvers.kinematic import fit_angles
-from solvers.likelihood import AngleModel, linearise
+from solvers.likelihood.linearise import AngleModel, linearise
 from solvers.problem import ANGULAR, ORBITAL, Problem
 from solvers.se3 import Array, rot_y
 from solvers.torus import Torus

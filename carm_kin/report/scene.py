@@ -10,7 +10,7 @@ from carm_kin.report.colours import PIVOT, REJECTED
 from carm_kin.report.machine import AXIS_COLOURS, machine_marks
 from carm_kin.report.marks import Line, Mark, Points, Space, Surface
 from carm_kin.report.poses import Fit, Poses
-from carm_kin.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult
 from solvers.se3 import Array, inverse
 
 NAME = "scene"

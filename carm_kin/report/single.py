@@ -8,16 +8,16 @@ from pathlib import Path
 import numpy as np
 
 import carm_kin
-from carm_kin.chain_result import ChainCalibration
-from carm_kin.held_out import HeldOut
-from carm_kin.recording import Recording
+from carm_kin.recording.recording import Recording
 from carm_kin.report import words
 from carm_kin.report.charts import charts
 from carm_kin.report.comparison import comparison_of
 from carm_kin.report.page import write_page
 from carm_kin.report.poses import Joints, poses_of
 from carm_kin.report.scene import scene
-from carm_kin.result import CalibrationResult
+from carm_kin.results.chain_result import ChainCalibration
+from carm_kin.results.held_out import HeldOut
+from carm_kin.results.result import CalibrationResult
 
 MOST_LISTED = 60
 """Numbers of poses that are written out."""

@@ -16,7 +16,7 @@ from carm_kin.report.marks import Axis, Chart, Panel, Points
 from carm_kin.report.page import write_page
 from carm_kin.report.poses import short
 from carm_kin.report.words import number, with_sigma
-from carm_kin.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult
 
 HEAD = (
     "recording",

@@ -5,7 +5,7 @@ from math import degrees, floor, log10
 
 import numpy as np
 
-from carm_kin.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult
 from solvers.se3 import Array
 
 

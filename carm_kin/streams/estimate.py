@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carm_kin.calibrate import MIN_PLACEMENT, calibrate
-from carm_kin.recording import Recording
-from carm_kin.result import CalibrationResult
+from carm_kin.calibration.calibrate import MIN_PLACEMENT, calibrate
+from carm_kin.recording.recording import Recording
+from carm_kin.results.result import CalibrationResult
 from carm_kin.streams.live import Pose
 from solvers.se3 import Array
 

@@ -6,13 +6,13 @@ from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import acos
+from statistics import median
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from carm_kin.streams.frames import Frame
-from carm_kin.streams.gaps import Gaps
 from carm_kin.streams.marks import Marks
-from carm_kin.streams.thinned import Thinned
 from carm_kin.streams.tracking import Observation
 from solvers.se3 import Array
 
@@ -26,6 +26,14 @@ MAX_FAULTS, OTHER = 20, "other reasons"
 """Reasons of frames without a pose that are counted by name."""
 EVENTS = 4
 """Last events that are shown."""
+USUAL_STEPS = 64
+"""The usual step of a sequence is the median of so many."""
+KNOWN_STEPS = 8
+"""Steps that must be known before one is called too long."""
+LATE_STEPS = 0.75
+"""By how much of a usual step one may be late."""
+MOST_THINNED = 600
+"""Items that `Thinned` keeps at most; there are at least half as many once there were so many."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,3 +187,49 @@ class Live:
     def _forget(self, now: float) -> None:
         while self._recent and self._recent[0][0] < now - RATE_S:
             self._recent.popleft()
+
+
+class Gaps:
+    """Counts the missing members of one sequence."""
+
+    def __init__(self) -> None:
+        self.missing = 0
+        self._steps: deque[float] = deque(maxlen=USUAL_STEPS)
+        self._last: float | None = None
+
+    def add(self, value: float) -> None:
+        """The next member; one that is not greater than the one before tells nothing."""
+        last, self._last = self._last, value
+        if last is None or value <= last:
+            return
+        step = value - last
+        if len(self._steps) >= KNOWN_STEPS:
+            steps = step / median(self._steps)
+            self.missing += round(steps) - 1 if steps > 1 + LATE_STEPS else 0
+        self._steps.append(step)
+
+    def restart(self) -> None:
+        """What lies between the last member and the next one is not counted."""
+        self._last = None
+
+
+T = TypeVar("T")
+
+
+class Thinned(Generic[T]):
+    """Every k-th item, k doubling whenever there are too many."""
+
+    def __init__(self) -> None:
+        self.items: list[T] = []
+        self.count = 0
+        """Items that were added."""
+        self._step = 1
+
+    def add(self, item: T) -> None:
+        """Keep it, if it is its turn."""
+        if self.count % self._step == 0:
+            self.items.append(item)
+        self.count += 1
+        if len(self.items) > MOST_THINNED:
+            self.items = self.items[::2]
+            self._step *= 2

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from carm_kin.errors import InputError
-from carm_kin.recording import Recording
+from carm_kin.recording.recording import Recording
 from carm_kin.streams.client import Address
 from carm_kin.streams.openigtlink import Message, encode
 from carm_kin.streams.tracking import qtdata_message, tdata_message, transform_message

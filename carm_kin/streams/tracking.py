@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from carm_kin.recording_checks import ROTATION_TOLERANCE
+from carm_kin.recording.checks import ROTATION_TOLERANCE
 from carm_kin.streams.openigtlink import Message, text
 from solvers.se3 import Array, project_so3, quat_wxyz_from_rotation, rotation_from_quat_wxyz, transform
 

@@ -11,11 +11,11 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from solvers.axes import axes_of
 from solvers.estimate import Estimate
 from solvers.loci import reported_by_name
 from solvers.problem import Problem
 from solvers.se3 import Array, orthonormal_complement
+from solvers.start.axes import axes_of
 from solvers.torus import Axes
 
 C, N, RADIUS, T, A, SINE = slice(0, 3), slice(3, 6), 6, slice(7, 10), slice(10, 13), 13

@@ -1,0 +1,187 @@
+"""From a solver's estimate and its assessment to the result that a user gets."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from carm_kin.calibration.problem import to_problem
+from carm_kin.recording.ingest_checks import contradicted
+from carm_kin.recording.recording import Recording
+from carm_kin.results.parts import (
+    NoiseLevel,
+    Observability,
+    Outliers,
+    Placement,
+    PlacementSigma,
+    Provenance,
+    Rejection,
+    Residuals,
+    Sigma,
+)
+from carm_kin.results.result import CalibrationResult
+from solvers.estimate import Covariance, Estimate, Note
+from solvers.problem import Problem
+from solvers.se3 import Array
+from solvers.verdict.assess import Assessment
+
+
+def result_of(
+    recording: Recording,
+    problem: Problem,
+    estimate: Estimate,
+    assessment: Assessment,
+    options: Mapping[str, Any],
+    provenance: Provenance,
+) -> CalibrationResult:
+    """The result of an estimate of ``problem``, which holds the poses of ``recording``, and of its assessment."""
+    ok = assessment.refusal is None
+    used = np.ones(len(recording), dtype=bool) if estimate.used is None else estimate.used
+    torus, values = estimate.torus, assessment.singular_values
+    return CalibrationResult(
+        status="ok" if ok else "refused",
+        solver=estimate.solver,
+        options=options,
+        offset_sensor_pivot_m=estimate.offset if ok else None,
+        major_radius_m=abs(estimate.major_radius) if ok and estimate.major_radius is not None else None,
+        major_radius_signed_m=torus.major_radius if ok and torus else None,
+        minor_radius_m=estimate.minor_radius if ok else None,
+        axis_non_orthogonality_rad=torus.non_orthogonality + 0.0 if ok and torus else None,
+        orbital_axis_sensor=torus.orbital_axis if ok and torus else None,
+        placements=_placements(recording, estimate) if ok else (),
+        T_sensor_carm=torus.T_sensor_carm if ok and torus else None,
+        orbital_referenced=torus.orbital_referenced if torus else False,
+        sigma=sigma_of(estimate.covariance, len(estimate.center)) if ok else Sigma(),
+        covariance=estimate.covariance if ok else None,
+        noise=NoiseLevel(assessment.sigma_t, assessment.sigma_r, None in (problem.sigma_t, problem.sigma_r)),
+        residuals=_residuals("overall", assessment, slice(None), assessment.chi2_per_dof),
+        residuals_per_sweep=_residuals_per_sweep(recording, assessment),
+        poses=len(recording),
+        used=int(used.sum()),
+        outliers=_outliers(recording, used),
+        observability=Observability(
+            values, float(values[0] / max(values[-1], 1e-300)) if values.size else None, assessment.unobservable
+        ),
+        warnings=(
+            *recording.warnings,
+            *estimate.notes,
+            *assessment.notes,
+            *contradicted(recording.intakes, assessment.notes),
+            *_notes(estimate, ok),
+        ),
+        refusal=assessment.refusal,
+        provenance=provenance,
+        angles_rad=assessment.angles,
+    )
+
+
+def _outliers(recording: Recording, used: np.ndarray) -> Outliers:
+    numbers = tuple(int(i) for i in recording.pose_number[~used])
+    reasons = (Rejection("does not agree with the other poses", len(numbers), numbers),) if numbers else ()
+    return Outliers(len(numbers), numbers, reasons)
+
+
+def refused_result(
+    recording: Recording, solver: str, options: Mapping[str, Any], refusal: Note, provenance: Provenance
+) -> CalibrationResult:
+    """A refusal before there is an estimate."""
+    nothing = Estimate(solver, center=np.zeros((len(recording.placements), 3)))
+    blank = Assessment(None, np.zeros((1, 3)), None, 0.0, None, 1.0, np.zeros(0), (refusal.message,), (), refusal)
+    return result_of(recording, to_problem(recording), nothing, blank, options, provenance)
+
+
+def _placements(recording: Recording, estimate: Estimate) -> tuple[Placement, ...]:
+    torus, axis = estimate.torus, estimate.angular_axis
+    return tuple(
+        Placement(
+            label,
+            estimate.center[k],
+            None if axis is None else axis[k],
+            torus.T_world_torus[k] if torus else None,
+            bool(torus.referenced[k]) if torus else False,
+        )
+        for k, label in enumerate(recording.placements)
+    )
+
+
+def sigma_of(covariance: Covariance | None, placements: int) -> Sigma:
+    """One-sigma values under the names of the result."""
+    if covariance is None:
+        return Sigma()
+
+    def vector(name: str) -> Array | None:
+        names = [f"{name}_{axis}" for axis in "xyz"]
+        return covariance.sigma(*names) if names[0] in covariance.names else None
+
+    def scalar(name: str) -> float | None:
+        return float(covariance.sigma(name)[0]) if name in covariance.names else None
+
+    return Sigma(
+        vector("offset_sensor_pivot"),
+        scalar("major_radius"),
+        scalar("minor_radius"),
+        scalar("axis_non_orthogonality"),
+        vector("orbital_axis_sensor"),
+        tuple(
+            PlacementSigma(vector(f"torus_center_world[{p}]"), vector(f"angular_axis_world[{p}]"))
+            for p in range(placements)
+        ),
+    )
+
+
+def _residuals(label: str, assessment: Assessment, poses: Any, chi2_per_dof: float | None) -> Residuals:
+    position, rotation = assessment.position_residual[poses], assessment.rotation_residual
+    return Residuals(
+        label,
+        _rms(position),
+        None if rotation is None else _rms(rotation[poses]),
+        chi2_per_dof,
+        int(np.isfinite(position[:, 0]).sum()),
+    )
+
+
+def _residuals_per_sweep(recording: Recording, assessment: Assessment) -> tuple[Residuals, ...]:
+    rows = []
+    for sweep in recording.sweeps if len(assessment.position_residual) == len(recording) else ():
+        poses = sweep.poses[np.isfinite(assessment.position_residual[sweep.poses, 0])]
+        if not poses.size:
+            continue
+        square = (assessment.position_residual[poses] ** 2).sum() / max(assessment.sigma_t, 1e-12) ** 2
+        dof = assessment.position_residual.shape[1] * len(poses)
+        if assessment.rotation_residual is not None and assessment.sigma_r:
+            square += (assessment.rotation_residual[poses] ** 2).sum() / assessment.sigma_r**2
+            dof += 2 * len(poses)
+        rows.append(_residuals(sweep.label, assessment, poses, float(square / max(dof, 1))))
+    return tuple(rows)
+
+
+def _rms(vectors: Array) -> float:
+    """Root mean square length over the used poses, whose rows are finite."""
+    return float(np.sqrt(np.nan_to_num((vectors**2).sum(axis=1)[np.isfinite(vectors[:, 0])].mean())))
+
+
+def _notes(estimate: Estimate, ok: bool) -> list[Note]:
+    notes = []
+    if not estimate.converged:
+        notes.append(Note("not_converged", f"the solver stopped after {estimate.iterations} steps without converging"))
+    if ok and estimate.covariance is None:
+        notes.append(
+            Note("no_covariance", f"'{estimate.solver}' gives no uncertainty here; the solver 'kinematic' does")
+        )
+    torus = estimate.torus
+    if ok and torus:
+        notes += conventions(bool(torus.referenced.all()), torus.orbital_referenced)
+    return notes
+
+
+def conventions(referenced: bool, orbital_referenced: bool) -> list[Note]:
+    """What there is to say of zeros that no label tells."""
+    notes = [] if referenced else [_convention("angular", "alpha")]
+    return notes if orbital_referenced else [*notes, _convention("orbital", "beta")]
+
+
+def _convention(joint: str, angle: str) -> Note:
+    return Note(
+        f"{joint}_zero_convention",
+        f"no label tells where {angle} is zero and which way it counts: it is taken as zero at the first pose",
+    )

@@ -1,0 +1,170 @@
+"""From a recording to a result: recording -> problem -> solver -> assessment -> result."""
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+import solvers
+from carm_kin.calibration.assembly import refused_result, result_of
+from carm_kin.calibration.options import options_of
+from carm_kin.calibration.problem import to_problem
+from carm_kin.errors import InputError
+from carm_kin.recording.checks import REPEATED, repeated
+from carm_kin.recording.recording import Recording
+from carm_kin.recording.stations import refitted
+from carm_kin.results.parts import Outliers, Provenance, Rejection
+from carm_kin.results.provenance import provenance_of
+from carm_kin.results.result import CalibrationResult
+from solvers.estimate import Note
+from solvers.problem import Problem
+from solvers.se3 import Array
+from solvers.verdict.assess import Limits, assess
+
+EXTENT_M = (0.005, 100.0)
+"""Positions that span less than the first while the sensor turns, or more than the second, are in a wrong unit."""
+TURNED = 0.1
+"""Range of an entry of the rotation matrices from which on the sensor counts as turning."""
+MIN_PLACEMENT = 3
+"""Fewest poses of a base placement."""
+
+
+def calibrate(
+    recording: Recording,
+    solver: str | None = None,
+    *,
+    locus: str = "circle",
+    angular: str = "angular",
+    orbital: str = "orbital",
+    sigma_t_m: float | None = None,
+    sigma_r_rad: float | None = None,
+    limits: Limits = Limits(),
+    command: str | None = None,
+    **options: Any,
+) -> CalibrationResult:
+    """Calibrate a recording.
+
+    ``solver`` is one of `solvers.solver_names()`; by default ``kinematic``, or ``direct`` for a locus
+    other than the circle of a C-arm. ``angular`` and ``orbital`` name the joints of the two axes.
+    ``sigma_t_m`` and ``sigma_r_rad`` give the tracker's noise an axis; by default it is estimated.
+    ``options`` are those of the solver. A refusal is a result of status ``refused``, not an exception.
+
+    Raises InputError for an unknown solver or option, and where the recording lacks what the solver needs.
+    """
+    name = solver or ("kinematic" if locus == "circle" else "direct")
+    module = _module(name)
+    if locus != "circle":
+        if name != "direct":
+            raise InputError(f"locus '{locus}' needs the solver 'direct', not '{name}'")
+        options["locus"] = locus
+    chosen = options_of(module.Options, name, options)
+    check_noise("sigma_t_m", sigma_t_m)
+    check_noise("sigma_r_rad", sigma_r_rad)
+    again = repeated(recording.p_world_sensor, recording.R_world_sensor)
+    if (~again).sum() < limits.min_poses:
+        again[:] = False
+    result = _calibrated(
+        recording,
+        ~again,
+        lambda kept: replace(to_problem(kept, angular, orbital), sigma_t=sigma_t_m, sigma_r=sigma_r_rad),
+        module,
+        chosen,
+        limits,
+        provenance_of(recording, command, options.get("seed")),
+    )
+    return _with_repeated(result, recording, again) if again.any() else result
+
+
+def _calibrated(
+    whole: Recording,
+    kept: np.ndarray,
+    problem_of: Callable[[Recording], Problem],
+    module: ModuleType,
+    options: Any,
+    limits: Limits,
+    provenance: Provenance,
+) -> CalibrationResult:
+    """The result of the ``kept`` poses (N,) of a recording."""
+    recording = whole if kept.all() else whole.select(kept)
+    name, problem = module.__name__.rsplit(".", 1)[-1], problem_of(recording)
+    if problem.R_world_sensor is None and name != "surface":
+        raise InputError(f"the recording has no orientations (qw, qx, qy, qz), which '{name}' needs; use 'surface'")
+    refusal = Note("too_few_poses", f"{len(problem)} poses; at least {limits.min_poses} are needed")
+    if len(problem) >= limits.min_poses:
+        refusal = wrong_unit(problem.p_world_sensor, problem.R_world_sensor) or _small_placement(whole, kept)
+    if refusal:
+        return refused_result(recording, name, asdict(options), refusal, provenance)
+    try:
+        estimate = module.solve(problem, options)
+        if recording.variance is not None and name == "kinematic":
+            problem = refitted(problem, estimate, recording.variance)
+            estimate = module.solve(problem, options)
+    except np.linalg.LinAlgError:
+        refusal = Note("unobservable", "the poses determine no machine: the equations are singular")
+        return refused_result(recording, name, asdict(options), refusal, provenance)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    assessment = assess(problem, estimate, limits)
+    return result_of(recording, problem, estimate, assessment, asdict(options), provenance)
+
+
+def _with_repeated(result: CalibrationResult, recording: Recording, again: np.ndarray) -> CalibrationResult:
+    """The result with the repeated poses, which had no part in it, counted and listed."""
+    numbers = tuple(int(i) for i in recording.pose_number[again])
+    fitted = result.outliers.indices
+    known = Rejection(REPEATED, len(numbers), numbers)
+    angles = None
+    if result.angles_rad is not None:
+        angles = np.full((len(recording), 2), np.nan)
+        angles[~again] = result.angles_rad
+    return replace(
+        result,
+        poses=len(recording),
+        outliers=Outliers(
+            len(fitted) + len(numbers), tuple(sorted((*fitted, *numbers))), (*result.outliers.reasons, known)
+        ),
+        warnings=(*(note for note in recording.warnings if note.code == "duplicated_poses"), *result.warnings),
+        angles_rad=angles,
+    )
+
+
+def _module(name: str) -> ModuleType:
+    try:
+        return solvers.solver(name)
+    except KeyError:
+        raise InputError(f"solver '{name}' is unknown; it is one of {', '.join(solvers.solver_names())}") from None
+
+
+def check_noise(name: str, value: float | None) -> None:
+    """Raise InputError for a noise that is not a finite number above 0."""
+    if value is not None and not 0 < value < np.inf:
+        raise InputError(f"{name} must be a finite number above 0, not {value}")
+
+
+def wrong_unit(p_world_sensor: Array, R_world_sensor: Array | None) -> Note | None:
+    """A refusal for positions (N, 3) of a size that no C-arm has while its sensor turns, (N, 3, 3)."""
+    extent = float(np.ptp(p_world_sensor, axis=0).max(initial=0.0))
+    turned = R_world_sensor is None or np.ptp(R_world_sensor, axis=0).max() > TURNED
+    large = extent > EXTENT_M[1]
+    if not large and not (turned and extent < EXTENT_M[0]):
+        return None
+    mistake = "millimetres read as metres" if large else "metres read as millimetres"
+    return Note(
+        "misfit",
+        f"the positions span {extent * 1e3:.3g} mm, which no C-arm does. Likely cause: a wrong unit in the names of "
+        f"the position columns ({mistake})",
+    )
+
+
+def _small_placement(recording: Recording, kept: np.ndarray) -> Note | None:
+    counts = np.bincount(recording.placement_number[kept], minlength=len(recording.placements))
+    few = np.flatnonzero(counts < MIN_PLACEMENT)
+    if not few.size:
+        return None
+    return Note(
+        "too_few_poses",
+        f"placement '{recording.placements[few[0]]}' has {counts[few[0]]} poses that are not repeated; "
+        f"at least {MIN_PLACEMENT} are needed",
+    )

@@ -1,0 +1,167 @@
+"""Recordings of a machine and its URDF -> the machine calibrated as a chain of joints."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from carm_kin.calibration.calibrate import check_noise, wrong_unit
+from carm_kin.calibration.chain.assembly import SOLVER, Blank, Recorded, result_of_chain
+from carm_kin.calibration.chain.model import ChainModel, chain_model
+from carm_kin.calibration.chain.problem import gather, sensor_links_of, sensor_numbers
+from carm_kin.calibration.options import options_of
+from carm_kin.errors import InputError
+from carm_kin.machine.chain import chain_of
+from carm_kin.machine.urdf import UrdfFile, listing, read_urdf
+from carm_kin.recording.checks import repeated
+from carm_kin.recording.recording import Recording
+from carm_kin.results.result import CalibrationResult
+from solvers.chain.chain import ChainEstimate, Free, Options, solve_chain
+from solvers.chain.problem import ChainProblem
+from solvers.chain.start import start_of
+from solvers.estimate import Note
+from solvers.verdict.limits import Limits
+
+ALL, AXES, NONE = "all", "axes", "none"
+
+
+@dataclass(frozen=True)
+class FreeJoints:
+    """What of the URDF's numbers is unknown: names of joints, or ``all``, ``axes`` (the two main ones), ``none``."""
+
+    placements: tuple[str, ...] = (ALL,)
+    zeros: tuple[str, ...] = (NONE,)
+    gains: tuple[str, ...] = (NONE,)
+
+    def in_words(self) -> dict[str, str]:
+        """As the options of the command have it."""
+        groups = {"free": self.placements, "zeros": self.zeros, "gains": self.gains}
+        return {name: ",".join(joints) for name, joints in groups.items()}
+
+
+NOTHING = FreeJoints((NONE,), (NONE,), (NONE,))
+
+
+def calibrate_chain(
+    recordings: Recording | Sequence[Recording],
+    urdf: str | Path | UrdfFile,
+    *,
+    free: FreeJoints = FreeJoints(),
+    sensor_link: str | None = None,
+    angular: str | None = None,
+    orbital: str | None = None,
+    sigma_t_m: float | None = None,
+    sigma_r_rad: float | None = None,
+    sigma_reading_rad: float | None = None,
+    sigma_reading_m: float | None = None,
+    folds: int | None = None,
+    limits: Limits = Limits(),
+    command: str | None = None,
+    **options: Any,
+) -> CalibrationResult:
+    """Calibrate the chain of a URDF (a path or a bundled name) from one or several recordings.
+
+    The base in the world of every placement and the mount of every sensor are unknown; ``free`` says which numbers
+    of the URDF are. A column ``sensor`` of a recording names the link that carries each pose's sensor, else
+    ``sensor_link`` does. Noises (m, rad; of the tracker an axis, of the joint readings) are estimated unless given;
+    0 takes the readings as exact. With ``folds`` the result holds the held-out check. ``options`` are those of
+    `solvers.chain.Options`. The result's `chain` holds the joints; its other numbers are those of the first sensor's
+    two axes. A refusal is a result, not an exception.
+
+    Raises InputError for bad names, options and recordings without orientations.
+    """
+    parts = (recordings,) if isinstance(recordings, Recording) else tuple(recordings)
+    if not parts:
+        raise InputError("no recording is given")
+    file = urdf if isinstance(urdf, UrdfFile) else read_urdf(urdf)
+    model = _model(parts, file, sensor_link, angular, orbital)
+    chosen, unknown = options_of(Options, SOLVER, options), free_of(model, free)
+    sigma = (sigma_t_m, sigma_r_rad, sigma_reading_rad, sigma_reading_m)
+    _check_noise(sigma)
+    recorded = Recorded(parts, tuple(_repeated(part, model) for part in parts))
+    gathered = gather(recorded.kept, model, sigma)
+    blank = Blank(recorded, asdict(chosen) | free.in_words(), command)
+    if len(gathered.problem) < limits.min_poses:
+        words = f"{len(gathered.problem)} poses; at least {limits.min_poses} are needed"
+        return blank.refused(Note("too_few_poses", words), gathered.notes)
+    T = gathered.problem.T_world_sensor
+    estimate = wrong_unit(T[:, :3, 3], T[:, :3, :3]) or fit(gathered.problem, model, unknown, chosen)
+    if isinstance(estimate, Note):
+        return blank.refused(estimate, gathered.notes)
+    nominal = nominal_fit(gathered.problem, model, estimate)
+    result = result_of_chain(model, gathered, unknown, nominal, estimate, blank, limits)
+    if folds is None or result.refusal:
+        return result
+    from carm_kin.calibration.chain.cross_validate import cross_validate_chain
+
+    held_out = cross_validate_chain(recorded.kept, gathered.problem, model, estimate, folds, unknown, chosen)
+    return replace(result, cross_validation=held_out)
+
+
+def _model(
+    parts: Sequence[Recording], file: UrdfFile, sensor_link: str | None, angular: str | None, orbital: str | None
+) -> ChainModel:
+    """The machine with the sensors that the recordings name, or the one asked for."""
+    links = sensor_links_of(parts, sensor_link)
+    known = tuple(link or chain_of(file, None, angular, orbital).sensor_link for link in links)
+    return chain_model(file, tuple(dict.fromkeys(known)), angular, orbital)
+
+
+def _repeated(recording: Recording, model: ChainModel) -> np.ndarray:
+    """(N,) mask of the poses that repeat the one before them of the same sensor."""
+    again, sensor = np.zeros(len(recording), dtype=bool), sensor_numbers(recording, model.sensor_links)
+    R = recording.R_world_sensor
+    for s in np.unique(sensor):
+        here = sensor == s
+        again[here] = repeated(recording.p_world_sensor[here], None if R is None else R[here])
+    return again
+
+
+def fit(problem: ChainProblem, model: ChainModel, free: Free, options: Options) -> ChainEstimate | Note:
+    """The calibrated machine, or why there is none. Joints that stand still in all poses keep their numbers."""
+    start = start_of(problem, model.machine, [model.axes(s) for s in range(len(model.chains))])
+    if isinstance(start, Note):
+        return start
+    try:
+        placed = solve_chain(problem, start.machine, start.values, free_of(model, NOTHING), options, start.agrees)
+        begin = placed.machine if placed.converged else start.machine
+        values = np.where(problem.read, problem.label, start.values)
+        return solve_chain(problem, begin, values, free.only(~problem.still), options, start.agrees)
+    except np.linalg.LinAlgError:
+        return Note("unobservable", "the poses determine no machine: the equations are singular")
+
+
+def nominal_fit(problem: ChainProblem, model: ChainModel, estimate: ChainEstimate) -> ChainEstimate:
+    """The URDF's own machine, base and mounts fitted to the same poses with the same noise as the ``estimate``."""
+    machine = estimate.machine
+    placed = replace(model.machine, T_world_base=machine.T_world_base, T_last_sensor=machine.T_last_sensor)
+    sigma = tuple(0.0 if given == 0 else float(s) for given, s in zip(problem.sigma, estimate.sigma, strict=True))
+    nothing, options = free_of(model, NOTHING), Options(reject_outliers=False)
+    return solve_chain(replace(problem, sigma=sigma), placed, estimate.values, nothing, options, estimate.used)
+
+
+def free_of(model: ChainModel, free: FreeJoints) -> Free:
+    """The masks of the joints. Raises InputError for a name that the chain does not have."""
+    axes = {model.names[j] for s in range(len(model.chains)) for j in model.axes(s)}
+
+    def mask(names: tuple[str, ...], possible: tuple[str, ...]) -> np.ndarray:
+        groups = {ALL: set(possible), AXES: axes & set(possible), NONE: set()}
+        for name in names:
+            if name not in groups and name not in possible:
+                valid = listing((ALL, AXES, NONE, *possible))
+                raise InputError(f"no joint of the chain is named {name!r}; valid: {valid}", file=model.urdf.path)
+        chosen = set().union(*(groups.get(name, {name}) for name in names))
+        return np.array([name in chosen for name in model.names])
+
+    in_file = tuple(name for name, carried in zip(model.names, model.carried, strict=True) if carried)
+    return Free(mask(free.placements, in_file), mask(free.zeros, in_file), mask(free.gains, model.names))
+
+
+def _check_noise(sigma: tuple[float | None, ...]) -> None:
+    names = ("sigma_t_m", "sigma_r_rad", "sigma_reading_rad", "sigma_reading_m")
+    for name, value in zip(names, sigma, strict=True):
+        exact = name.startswith("sigma_reading") and value == 0
+        if not exact:
+            check_noise(name, value)

@@ -1,0 +1,35 @@
+"""The command `carm-kin export`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from carm_kin.cli.arguments import writable
+from carm_kin.cli.terminal import Stderr
+from carm_kin.results.result import CalibrationResult
+
+
+def export(
+    result: Annotated[Path, typer.Argument(help="The calibration, as calibrate --json writes it.")],
+    to: Annotated[str, typer.Option("--to", help="itk, json, plus, ros2 or urdf.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The file to write.")],
+    transform: Annotated[
+        str, typer.Option(help="sensor-carm: the C-arm in the sensor's frame; world-torus: the machine in the world.")
+    ] = "sensor-carm",
+    placement: Annotated[str | None, typer.Option(help="Which base placement, for world-torus.")] = None,
+    parent_frame: Annotated[str | None, typer.Option(help="Name of the parent frame.")] = None,
+    child_frame: Annotated[str | None, typer.Option(help="Name of the child frame.")] = None,
+    urdf: Annotated[Path | None, typer.Option(help="The URDF that was calibrated, to urdf only.")] = None,
+) -> None:
+    """Write a calibration for another program; a refused one is not exported (status 3)."""
+    from carm_kin.exports import Wanted, export_result
+
+    wanted = Wanted(transform, placement, parent_frame, child_frame, urdf)
+    export_result(CalibrationResult.from_json(result), to, writable(out), wanted)
+    Stderr().print(f"written to {out}", soft_wrap=True)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to ``app``."""
+    app.command(epilog="Example: carm-kin export result.json --to ros2 -o sensor_to_carm.yaml")(export)

@@ -1,0 +1,95 @@
+"""Commands about machines: the demonstration, what a URDF holds, simulated recordings."""
+
+import json
+from math import radians
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import carm_kin
+from carm_kin.cli.arguments import Angular, Orbital, Seed, SensorLink, Urdf, writable
+from carm_kin.cli.options import grouped
+from carm_kin.cli.report import ReportOptions, report_options
+from carm_kin.cli.terminal import Stderr, to_stdout
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands to the program."""
+    app.command(epilog="Example: carm-kin demo --out my-first-calibration --report report.html")(demo)
+    app.command(epilog="Example: carm-kin inspect mobile_nonisocentric")(inspect)
+    app.command(epilog="Example: carm-kin simulate mobile_nonisocentric -o rec.csv --sigma-t-mm 0.5 --sigma-r-deg 0.1")(
+        simulate
+    )
+
+
+@grouped("pages", report_options)
+def demo(
+    pages: ReportOptions,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the files.")] = Path("carm-kin-demo"),
+    seed: Seed = 0,
+) -> None:
+    """Simulate a clinical recording, calibrate it with every solver, compare with the truth."""
+    from carm_kin.cli.demo import run
+
+    run(out, seed, Stderr(), pages)
+
+
+def inspect(
+    urdf: Urdf,
+    angular: Angular = None,
+    orbital: Orbital = None,
+    sensor_link: SensorLink = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the same as JSON on stdout.")] = False,
+) -> None:
+    """Print the chain, its ranges and the nominal geometry of a C-arm."""
+    from carm_kin.machine import inspection
+
+    found = inspection.inspect(urdf, sensor_link, angular, orbital)
+    if as_json:
+        to_stdout(json.dumps(found.to_dict(), indent=2) + "\n")
+    else:
+        inspection.show(found, Stderr())
+
+
+def simulate(
+    urdf: Urdf,
+    out: Annotated[Path, typer.Option("--out", "-o", help="The recording; its truth goes to NAME.truth.json.")],
+    protocol: Annotated[
+        str, typer.Option(help="paper, clinical, minimal, free, joints, virtual or a .toml file.")
+    ] = "clinical",
+    sigma_t_mm: Annotated[float, typer.Option(min=0, help="Position noise, one sigma an axis.")] = 0.0,
+    sigma_r_deg: Annotated[float, typer.Option(min=0, help="Orientation noise, one sigma an axis.")] = 0.0,
+    outliers: Annotated[float, typer.Option(help="Share of gross outliers, 0 to 1.")] = 0.0,
+    missing: Annotated[float, typer.Option(help="Share of missing frames, 0 to 1.")] = 0.0,
+    sigma_reading_deg: Annotated[float, typer.Option(min=0, help="Error of the angles that are recorded.")] = 0.0,
+    sigma_reading_mm: Annotated[float, typer.Option(min=0, help="Error of the lengths that are recorded.")] = 0.0,
+    labels: Annotated[bool, typer.Option(help="Keep sweeps and known angles.")] = True,
+    angular: Angular = None,
+    orbital: Orbital = None,
+    sensor_link: SensorLink = None,
+    seed: Seed = 0,
+) -> None:
+    """Simulate a recording of a C-arm, with its truth beside it."""
+    truth_file = writable(writable(out).with_suffix(".truth.json"))
+    recording, truth = carm_kin.simulate(
+        urdf,
+        protocol,
+        sigma_t_m=sigma_t_mm / 1000,
+        sigma_r_rad=radians(sigma_r_deg),
+        outliers=outliers,
+        missing=missing,
+        sigma_reading_rad=radians(sigma_reading_deg),
+        sigma_reading_m=sigma_reading_mm / 1000,
+        labels=labels,
+        angular=angular,
+        orbital=orbital,
+        sensor_link=sensor_link,
+        seed=seed,
+    )
+    carm_kin.write_recording(recording, out)
+    truth.to_json(truth_file)
+    console = Stderr()
+    for note in truth.warnings:
+        console.print(f"warning ({note.code}): {note.message}", soft_wrap=True)
+    console.print(f"{len(recording)} poses written to {out}, the truth to {truth_file}", soft_wrap=True)

@@ -1,0 +1,125 @@
+"""Recording formats, found by name: every public module of this package that has a `read` is one.
+
+A format module has
+
+- ``SUMMARY``, one line for the list of formats;
+- ``matches(path, head) -> bool``: whether a file that begins with the bytes ``head`` is of this format;
+- ``read(path, declared) -> Raw | Recording``: what the file says, which `carm_kin.recording.ingest` makes a recording
+  of, or at once a recording where the file states its own conventions;
+
+and may have ``write(recording, path)``, ``HOLDS``, the optional parts of a recording that this writes, ``EXTENSIONS``,
+the file name endings (".csv") by which it is chosen where the content does not tell, and ``GENERAL = True``, where the
+content fits it only if it fits no other.
+"""
+
+import importlib
+import os
+import pkgutil
+from pathlib import Path
+
+from carm_kin.errors import InputError
+from carm_kin.recording.declarations import Declarations
+from carm_kin.recording.formats import _folder
+from carm_kin.recording.formats._format import Format
+from carm_kin.recording.ingest import applied, ingest
+from carm_kin.recording.raw import Raw
+from carm_kin.recording.recording import Recording
+
+HEAD = 65536
+"""Bytes of a file by which its format is told."""
+
+
+def formats() -> dict[str, Format]:
+    """Every format by its name."""
+    found = {}
+    names = [module.name for module in pkgutil.iter_modules(__path__)]
+    for name in sorted(name for name in names if not name.startswith("_")):
+        module = importlib.import_module(f"{__name__}.{name}")
+        if hasattr(module, "read"):
+            holds, extensions = (tuple(getattr(module, key, ())) for key in ("HOLDS", "EXTENSIONS"))
+            write = getattr(module, "write", None)
+            general = getattr(module, "GENERAL", False)
+            found[name] = Format(name, module.SUMMARY, module.matches, module.read, write, holds, extensions, general)
+    return found
+
+
+def read_recording(
+    path: str | os.PathLike, format: str | None = None, declared: Declarations = Declarations()
+) -> Recording:
+    """The recording in a file, or in a folder of files of one format.
+
+    The format is the named one, or told by the content, or by the extension. ``declared`` says what the file does not.
+    Raises InputError where the format is unknown, the file is not sound, or a declaration is missing.
+    """
+    path = Path(path)
+    chosen = _named(path, format) if format else format_of(path)
+    if path.is_dir() and not (chosen and chosen.matches(path, b"")):
+        raw, name = _folder.read(path, (lambda file: chosen) if chosen else format_of, declared)
+        return ingest(raw, declared, name)
+    assert chosen is not None
+    raw = chosen.read(path, declared)
+    return ingest(raw, declared, chosen.name) if isinstance(raw, Raw) else applied(raw, declared)
+
+
+def write_recording(recording: Recording, path: str | os.PathLike, format: str | None = None) -> None:
+    """Write a recording in the named format or in the one that the file's extension tells.
+
+    Raises InputError where the format is unknown or cannot be written, or the file cannot be.
+    """
+    write = writer_of(path, format).write
+    assert write is not None
+    write(recording, Path(path))
+
+
+def writer_of(path: str | os.PathLike, format: str | None = None) -> Format:
+    """The named format, or the one that the file's extension tells, of those that can be written."""
+    writable = {name: found for name, found in formats().items() if found.write is not None}
+    if format is None:
+        return _by_extension(Path(path), writable)
+    if format not in writable:
+        raise InputError(f"no format '{format}' here; choose from {', '.join(writable)}", file=path)
+    return writable[format]
+
+
+def format_of(path: Path) -> Format | None:
+    """The format of a file, None for a folder of files. Raises InputError where there is none or more than one."""
+    known = formats()
+    try:
+        head = b"" if path.is_dir() else _head(path)
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}", file=path) from None
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")) and path.suffix != ".csv":
+        raise InputError("is UTF-16; save it as UTF-8", file=path)
+    fits = [found for found in known.values() if found.matches(path, head)]
+    if path.is_dir() and not fits:
+        return None
+    fits = [found for found in fits if not found.general] or fits
+    if len(fits) > 1:
+        names = ", ".join(found.name for found in fits)
+        raise InputError(f"the content fits several formats; choose one with --format: {names}", file=path)
+    return fits[0] if fits else _by_extension(path, known)
+
+
+def _head(path: Path) -> bytes:
+    if not path.is_file():
+        raise InputError("is not a file" if path.exists() else "no such file", file=path)
+    with path.open("rb") as file:
+        return file.read(HEAD)
+
+
+def _named(path: Path, name: str) -> Format:
+    known = formats()
+    if name not in known:
+        raise InputError(f"no format '{name}' here; choose from {', '.join(known)}", file=path)
+    return known[name]
+
+
+def _by_extension(path: Path, known: dict[str, Format]) -> Format:
+    """The format with the longest extension that the file's name ends with."""
+    file = path.name.lower()
+    fits = [(len(end), found) for found in known.values() for end in found.extensions if file.endswith(end)]
+    best = [found for length, found in fits if length == max(fits, key=lambda fit: fit[0])[0]]
+    if len(best) != 1:
+        likely = ", ".join(found.name for found in best or known.values())
+        raise InputError(f"the extension does not tell the format; choose from {likely}", file=path)
+    return best[0]

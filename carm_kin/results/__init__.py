@@ -1,0 +1,3 @@
+"""What comes out of the program, as values, as JSON and in words.
+
+`result` is a calibration; the other results stand beside it. `summary` prints them."""

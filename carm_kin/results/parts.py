@@ -1,0 +1,111 @@
+"""The parts of a calibration's result: metres and radians, one sigma where a number has one."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from carm_kin.recording.intake import Intake
+from solvers.se3 import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """Where the C-arm's torus stands in the world, for one base placement."""
+
+    label: str
+    torus_center_world_m: Array
+    """(3,)."""
+    angular_axis_world: Array | None
+    """(3,) unit; None where the locus has no axes."""
+    T_world_torus: Array | None
+    """(4, 4), m; None where the solver gives no complete chain."""
+    referenced: bool
+    """Whether alpha = 0 comes from labels; else it is a convention."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlacementSigma:
+    """One-sigma values of a placement."""
+
+    torus_center_world_m: Array | None
+    angular_axis_world: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class Sigma:
+    """One-sigma values under the names of the result; None where the solver gives none."""
+
+    offset_sensor_pivot_m: Array | None = None
+    major_radius_m: float | None = None
+    minor_radius_m: float | None = None
+    axis_non_orthogonality_rad: float | None = None
+    orbital_axis_sensor: Array | None = None
+    placements: tuple[PlacementSigma, ...] = ()
+
+
+@dataclass(frozen=True)
+class NoiseLevel:
+    """One standard deviation an axis."""
+
+    translation_m: float | None
+    rotation_rad: float | None
+    estimated: bool
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """What the model leaves of the used poses."""
+
+    label: str
+    """The sweep, or ``overall``."""
+    translation_rms_m: float
+    """Root mean square length of the position residual."""
+    rotation_rms_rad: float | None
+    """Root mean square rotation angle."""
+    chi2_per_dof: float | None
+    """None where the noise was not given and is therefore estimated from these residuals."""
+    poses: int
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """Poses that were not used for one and the same reason, numbered as in the recording's file."""
+
+    reason: str
+    """In words, such as ``identical to the pose before``."""
+    count: int
+    indices: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Outliers:
+    """Poses that were not used, numbered as in the recording's file."""
+
+    count: int
+    indices: tuple[int, ...]
+    reasons: tuple[Rejection, ...] = ()
+    """Why, for as many of them as it is known; each pose stands under one reason at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Observability:
+    """What the data determine."""
+
+    singular_values: Array
+    """Of the information matrix scaled to a unit diagonal, largest first."""
+    condition: float | None
+    unobservable: tuple[str, ...]
+    """In words."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a result comes from."""
+
+    versions: Mapping[str, str]
+    input_name: str | None
+    input_sha256: str | None
+    command: str | None
+    seed: int | None
+    date: str
+    intakes: tuple[Intake, ...] = ()
+    """How the input was read, and what was dropped."""

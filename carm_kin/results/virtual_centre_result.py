@@ -1,0 +1,98 @@
+"""What the search for a virtual scan centre finds: metres and radians in Python, named units in its JSON file."""
+
+import os
+from dataclasses import dataclass
+from typing import Any
+
+from carm_kin.results.parts import NoiseLevel, Outliers, Provenance
+from carm_kin.results.result_json import json_text, object_of
+from solvers.estimate import Note
+from solvers.se3 import Array
+
+SCHEMA = "carm-kin/virtual-centre/1"
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How far the centre moved in the world during the scan, by the measured poses."""
+
+    rms_m: float
+    """Root mean square distance from its mean place."""
+    noise_m: float
+    """What the noise of the poses alone makes of it."""
+    beyond_noise_m: float
+    """Root of the difference of their squares."""
+    largest_m: float
+    """Largest distance from the mean place."""
+    largest_pose: int
+    """The pose at which it is, numbered as in the recording's file."""
+    chi2_per_dof: float
+    """About 1 where one point stands still."""
+    probability: float
+    """Of so large a chi-square if one point stands still."""
+
+
+@dataclass(frozen=True, eq=False)
+class CentreSigma:
+    """One-sigma values under the names of `VirtualCentre`, from both recordings' noise."""
+
+    centre_carm_m: Array
+    centre_sensor_m: Array
+    centre_world_m: Array
+    path_radius_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class VirtualCentre:
+    """What `carm_kin.virtual_centre` returns. Numbers are None where the scan is refused.
+
+    Where no point stands still (``not_fixed``) the centre is that of the least spread, without a sigma.
+    """
+
+    status: str
+    """``fixed``, ``not_fixed`` or ``refused``."""
+    tolerance_m: float
+    poses: int
+    used: int
+    outliers: Outliers
+    noise: NoiseLevel
+    """Of the poses, as given or as calibrated."""
+    warnings: tuple[Note, ...]
+    provenance: Provenance
+    centre_carm_m: Array | None = None
+    """(3,) in the C-arm frame, whose origin is the rotation centre. y = 0: a shift along the orbital axis, which is y,
+    changes nothing."""
+    centre_sensor_m: Array | None = None
+    """(3,) in the sensor's frame."""
+    centre_world_m: Array | None = None
+    """(3,) where it stands."""
+    path_radius_m: float | None = None
+    """The rotation centre moves on a circle of this radius about the virtual centre, |centre_carm_m|."""
+    path_rms_m: float | None = None
+    """Root mean square distance of the measured rotation centres from that circle."""
+    sigma: CentreSigma | None = None
+    spread: Spread | None = None
+    turn_rad: float | None = None
+    """Range of the orbital angle."""
+    alpha_rad: float | None = None
+    """Mean angle about the angular axis. None, like the next two, where the base has turned since the calibration."""
+    used_poses: tuple[int, ...] = ()
+    """(M,) numbers of the used poses, as in the recording's file; the arrays below are in this order."""
+    beta_rad: Array | None = None
+    """(M,) orbital angles."""
+    travel_torus_m: Array | None = None
+    """(M, 3) measured rotation centres less the virtual centre along the axes of `torus`: horizontal travel, sideways,
+    lift, where alpha = 0 is upright."""
+    pivots_world_m: Array | None = None
+    """(M, 3) measured rotation centres."""
+    centres_world_m: Array | None = None
+    """(M, 3) where each pose puts the virtual centre."""
+    refusal: Note | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The content of the JSON file: mm and degrees, units in the names."""
+        return object_of(SCHEMA, self)
+
+    def to_json(self, path: str | os.PathLike | None = None) -> str:
+        """The JSON text; written to ``path``, whole or not at all, where one is given."""
+        return json_text(self.to_dict(), path)

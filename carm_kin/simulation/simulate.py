@@ -1,0 +1,110 @@
+"""Simulated recordings: a chain, a protocol, noise and a seed give a recording and its truth."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from carm_kin.errors import InputError
+from carm_kin.machine.chain import Chain, chain_of
+from carm_kin.machine.kinematics import Model
+from carm_kin.machine.urdf import UrdfFile, read_urdf
+from carm_kin.recording.recording import ROTATION_TOLERANCE, Recording
+from carm_kin.results.result import CalibrationResult
+from carm_kin.simulation.noise import Noise, checked, disturbed, readings
+from carm_kin.simulation.plan import Plan, plan_of
+from carm_kin.simulation.truth import truth_of
+from solvers.estimate import Note
+from solvers.se3 import Array, inverse, rotation_from_quat_wxyz, transform
+
+WORLD_M = 1.0
+"""The torus centre is drawn from a cube of this half-width about the tracker's origin."""
+
+
+def simulate(
+    urdf: str | Path | UrdfFile,
+    protocol: str | Path = "clinical",
+    *,
+    sigma_t_m: float = 0.0,
+    sigma_r_rad: float = 0.0,
+    outliers: float = 0.0,
+    missing: float = 0.0,
+    sigma_reading_rad: float = 0.0,
+    sigma_reading_m: float = 0.0,
+    labels: bool = True,
+    T_world_torus: Array | None = None,
+    T_sensor_mount: Array | None = None,
+    angular: str | None = None,
+    orbital: str | None = None,
+    sensor_link: str | None = None,
+    seed: int = 0,
+) -> tuple[Recording, CalibrationResult]:
+    """A recording of the C-arm in ``urdf`` (a path or a bundled name) and its truth.
+
+    ``protocol`` is paper, clinical, minimal, free, joints, virtual or a TOML file. ``T_world_torus`` (4, 4), m,
+    is drawn from the seed unless given. ``T_sensor_mount`` (4, 4) turns and moves the sensor in its link. Without
+    ``labels`` the recording tells nothing of the joints. The truth is a result of the solver ``truth``,
+    whose outliers are the poses that were replaced. Raises InputError for bad input.
+    """
+    noise = checked(Noise(sigma_t_m, sigma_r_rad, outliers, missing, sigma_reading_rad, sigma_reading_m))
+    if seed < 0:
+        raise InputError(f"the seed must be at least 0, not {seed}")
+    for name, T in (("T_world_torus", T_world_torus), ("T_sensor_mount", T_sensor_mount)):
+        _check_rigid(name, T)
+    rng = np.random.default_rng(seed)
+    file = urdf if isinstance(urdf, UrdfFile) else read_urdf(urdf)
+    chain = chain_of(file, sensor_link, angular, orbital)
+    plan = plan_of(file, chain, protocol, rng)
+    if T_world_torus is None:
+        T_world_torus = transform(rotation_from_quat_wxyz(rng.normal(size=4)), rng.uniform(-WORLD_M, WORLD_M, 3))
+    mount = np.eye(4) if T_sensor_mount is None else T_sensor_mount
+    T_world_base = T_world_torus @ inverse(plan.geometries[0].T_base_torus)
+    T = T_world_base @ Model(file, chain).forward_kinematics(plan.q) @ mount
+    p, R, replaced = disturbed(T, noise, rng)
+    seen = rng.random(len(T)) >= noise.missing
+    recording = _recording(chain, plan, p, R, labels, noise, rng).select(seen)
+    return replace(recording, missing=int((~seen).sum())), truth_of(
+        plan,
+        T_world_base,
+        mount,
+        noise,
+        outliers=np.flatnonzero(replaced & seen),
+        poses=len(recording),
+        notes=tuple(Note("urdf", note) for note in (*file.notes, *chain.notes)),
+        seed=seed,
+    )
+
+
+def _check_rigid(name: str, T: Array | None) -> None:
+    """Raise InputError where a transform is given that is none."""
+    if T is None:
+        return
+    if np.shape(T) != (4, 4) or not np.isfinite(T).all() or (np.asarray(T)[3] != (0, 0, 0, 1)).any():
+        raise InputError(f"{name} must be a finite (4, 4) transform with the last row 0 0 0 1")
+    R = np.asarray(T)[:3, :3]
+    if np.abs(R.T @ R - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(R) < 0:
+        raise InputError(f"{name} holds no rotation matrix")
+
+
+def _recording(
+    chain: Chain, plan: Plan, p: Array, R: Array, labels: bool, noise: Noise, rng: np.random.Generator
+) -> Recording:
+    placements = (plan.placement + 1).astype(str) if plan.placement.any() else None
+    if not labels:
+        return Recording(p, R, placement=placements)
+    prismatic = frozenset(n for n, kind in zip(chain.names, chain.types, strict=True) if kind == "prismatic")
+    sizes = [len(motion.q) for motion in plan.motions]
+    joints = {}
+    for name in dict.fromkeys(name for motion in plan.motions for name in motion.told):
+        told = [motion.told.get(name, np.full(len(motion.q), np.nan)) for motion in plan.motions]
+        sigma = noise.sigma_reading_m if name in prismatic else noise.sigma_reading_rad
+        joints[name] = readings(np.concatenate(told), sigma, rng)
+    return Recording(
+        p,
+        R,
+        sweep=np.repeat([motion.sweep for motion in plan.motions], sizes),
+        moving=np.repeat([motion.moving for motion in plan.motions], sizes),
+        placement=placements,
+        joints=joints,
+        prismatic=prismatic & joints.keys(),
+    )

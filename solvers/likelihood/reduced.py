@@ -1,0 +1,135 @@
+"""The likelihood reduced to the unknowns of the machine, and the blocks of the angles that are eliminated.
+
+Arrays run over poses in their last axis.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solvers.likelihood.linearise import LOCAL, AngleModel, Linearisation
+from solvers.se3 import Array
+
+HELD, RESIDUAL, WIDTH = LOCAL, LOCAL + 1, LOCAL + 2
+"""Columns of a pose's weighted matrix B beyond the local Jacobian, and their number."""
+
+
+@dataclass(frozen=True, eq=False)
+class Reduced:
+    """Normal equations ``H x = -g`` of the machine's D = 6 P + 8 unknowns, every angle eliminated."""
+
+    H: Array
+    """(D, D) marginal information."""
+    g: Array
+    """(D,) gradient of half the weighted sum of squares."""
+    position_information: Array
+    """(D, D) share of H that the position residuals carry, and"""
+    reading_information: Array
+    """(D, D) that the readings carry; the rotations carry the rest."""
+    redundancy: tuple[float, float]
+    """Number of position and of rotation residuals, each less the part that the angles absorb
+    (without orientations the second is without meaning)."""
+    exchanged: float
+    """How much of one noise the angles of single poses carry into the other's residuals (docs/estimation.md, 4)."""
+    squares: tuple[float, float]
+    """Weighted sum of the squared position (m^2) and rotation (rad^2) residuals, not scaled by sigma."""
+    reading_cost: float
+    """The readings' part of the sum of squares, scaled."""
+    sigma: tuple[float, ...]
+    distance2: Array
+    """(N,) squared Mahalanobis distance of each pose's residual once its own free angles are fitted."""
+    _position: tuple[Array, float]
+    """Gradient and constant that complete `position_information` to a quadratic form, and"""
+    _reading: tuple[Array, float]
+    """those of `reading_information`."""
+    _constant: float
+    """What the angles' own steps leave of `cost`."""
+    _response: Array
+    """(2, 16, N) what each free angle takes of every column of B."""
+    _sweep_response: Array
+    """(S, 16) the same of each held angle, scaled to its own column."""
+    _columns: np.ndarray
+    _placement: np.ndarray
+    _model: AngleModel
+
+    @property
+    def cost(self) -> float:
+        """Weighted sum of squares at the point of linearisation."""
+        return self.cost_at(self.sigma)
+
+    def cost_at(self, sigma: tuple[float, ...]) -> float:
+        """The same if the noise were ``sigma``."""
+        return float(sum(s / n**2 for s, n in zip(self.squares, sigma, strict=False))) + self.reading_cost
+
+    def squares_after(self, x: Array) -> tuple[float, float]:
+        """`squares` as they will be, to first order, after the step ``x`` (D,) and its `angle_step`."""
+        position, reading = (
+            max(float(constant + 2 * g @ x + x @ M @ x), 0.0)
+            for M, (g, constant) in (
+                (self.position_information, self._position),
+                (self.reading_information, self._reading),
+            )
+        )
+        if len(self.sigma) == 1:
+            return position * self.sigma[0] ** 2, 0.0
+        total = float(self._constant + 2 * self.g @ x + x @ self.H @ x)
+        return position * self.sigma[0] ** 2, max(total - reading - position, 0.0) * self.sigma[1] ** 2
+
+    def angle_step(self, x: Array) -> Array:
+        """The step of every angle (2, N) that goes with the step ``x`` (D,) of the machine."""
+        local = x[self._columns]
+        step = -self._response[:, RESIDUAL]
+        if len(local) == 1:
+            step -= np.einsum("jkn,k->jn", self._response[:, :LOCAL], local[0])
+        else:
+            step -= np.einsum("jkn,nk->jn", self._response[:, :LOCAL], local[self._placement])
+        member = np.flatnonzero(self._model.sweep >= 0)
+        if member.size:
+            k = self._sweep_response
+            held = -(k[:, RESIDUAL] + (k[:, :LOCAL] * local[self._model.sweep_placement]).sum(axis=1))
+            held = held[self._model.sweep[member]]
+            step[:, member] -= self._response[:, HELD, member] * held
+            step[self._model.sweep_joint[member], member] = held
+        return step
+
+
+def weighted(line: Linearisation, model: AngleModel, sigma: tuple[float, ...]) -> tuple[Array, Array]:
+    """B (rows, 16, n) and A (rows, 2, n), scaled by the noise; A is zero where an angle is not free."""
+    scale = np.repeat(1 / np.asarray(sigma), 3)[:, None]
+    if model.scale is not None:
+        scale = scale / np.repeat(model.scale[: len(sigma)], 3, axis=0)
+    n = line.residual.shape[1]
+    B = np.empty((len(scale), WIDTH, n))
+    np.multiply(line.by_local, scale[:, None], out=B[:, :LOCAL])
+    A = line.by_angle * scale[:, None]
+    held = model.sweep >= 0
+    B[:, HELD] = np.where(held, A[:, model.sweep_joint, np.arange(n)], 0.0) if held.any() else 0.0
+    B[:, RESIDUAL] = line.residual * scale
+    return B, A * model.free
+
+
+def blocks_of(A: Array) -> Array:
+    """ATA of every pose from its rows A (rows, 2, N), as its entries 00, 01 and 11 (3, N)."""
+    return np.stack([(A[:, 0] ** 2).sum(axis=0), (A[:, 0] * A[:, 1]).sum(axis=0), (A[:, 1] ** 2).sum(axis=0)])
+
+
+def inverse_blocks(G: Array, model: AngleModel) -> Array:
+    """inv(G + readings), entries 00, 01 and 11 (3, N) as those of G; the rows of angles that are not free are those
+    of the identity. A ridge of 1e-12 keeps rounding small where both angles of a pose move the sensor alike."""
+    a, d = G[[0, 2]] + model.precision + ~model.free
+    b = G[1]
+    ridge = 1e-12 * (a + d) + np.finfo(float).tiny
+    a, d = a + ridge, d + ridge
+    return np.stack([d, -b, a]) / (a * d - b * b)
+
+
+def traces(G_inverse: Array, position: Array, rotation: Array) -> tuple[float, float]:
+    """Sums over the poses of tr inv(G) P and tr inv(G) P inv(G) R, with P and R the blocks (3, N) of both kinds."""
+
+    def product(block: Array) -> tuple[Array, ...]:
+        (g, h, k), (a, b, d) = G_inverse, block
+        return g * a + h * b, g * b + h * d, h * a + k * b, h * b + k * d
+
+    p, r = product(position), product(rotation)
+    exchanged = p[0] * r[0] + p[1] * r[2] + p[2] * r[1] + p[3] * r[3]
+    return float((p[0] + p[3]).sum()), float(exchanged.sum())

@@ -1,0 +1,1 @@
+"""First answers and outliers: what a solver starts from, without a guess by the user."""

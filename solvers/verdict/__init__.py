@@ -1,0 +1,1 @@
+"""What an estimate is worth: what the data determine, what does not fit, and why."""

@@ -1,0 +1,229 @@
+"""What an estimate is worth: residuals, noise, observability, and whether to refuse it.
+
+Every solver's chain is judged by the same likelihood, so that residuals can be compared.
+docs/refusals.md lists the codes.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from solvers import kinematic
+from solvers.estimate import Covariance, Estimate, Note
+from solvers.likelihood.covariance import active_unknowns, covariance_of, marginal_covariance, scaled_spectrum
+from solvers.likelihood.elimination import normal_equations
+from solvers.likelihood.linearise import AngleModel, linearise
+from solvers.problem import Problem
+from solvers.se3 import Array
+from solvers.start.axes import ambiguous
+from solvers.torus import Torus
+from solvers.verdict.bump import bump_of
+from solvers.verdict.diagnose import LABELS, base_moved_at, causes_of
+from solvers.verdict.limits import Limits, misfit, uncertain
+from solvers.verdict.observability import AMBIGUOUS, in_words, joints_at_rest, thickness, turns_about_one_axis
+from solvers.verdict.residuals import neighbour_correlation, residual_notes
+
+__all__ = ["Assessment", "Limits", "assess"]
+
+
+@dataclass(frozen=True, eq=False)
+class Assessment:
+    """Residuals and verdict, m and rad."""
+
+    angles: Array | None
+    """alpha, beta (N, 2)."""
+    position_residual: Array
+    """(N, 3) or (N, K) observed less predicted, m."""
+    rotation_residual: Array | None
+    """(N, 3) rotation vectors, rad."""
+    sigma_t: float
+    sigma_r: float | None
+    chi2_per_dof: float
+    singular_values: Array
+    """Of the information scaled to a unit diagonal, largest first; empty where there is no chain."""
+    unobservable: tuple[str, ...]
+    """In words."""
+    notes: tuple[Note, ...]
+    """What the residuals and the rejected poses show."""
+    refusal: Note | None
+
+
+def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> Assessment:
+    """Judge an estimate of ``problem`` by the poses that it used; the rows of the others are NaN."""
+    used = np.ones(len(problem), dtype=bool) if estimate.used is None else estimate.used
+    part = problem if used.all() else problem.select(used)
+    if estimate.torus is None or len(part) < limits.min_poses:
+        found = _assess_positions(part, estimate, used, limits)
+        return replace(found, refusal=_hardly_any(problem, part, limits) or found.refusal)
+    torus = estimate.torus
+    if estimate.angles is None:
+        angles, at = kinematic.fit_angles(part, torus)
+        sigma = (at.sigma[0], at.sigma[1])
+    else:
+        angles, sigma = estimate.angles.T[:, used], (estimate.sigma_t or 0.0, estimate.sigma_r or 0.0)
+        at = normal_equations(torus, angles, part, AngleModel.of(part), sigma)
+    line = linearise(torus, angles, part)
+    residual = line.residual
+    active = active_unknowns(part, fix_non_orthogonality=torus.non_orthogonality == 0.0)
+    values, vectors, scale = scaled_spectrum(at.H, active)
+    covariance = covariance_of(torus, marginal_covariance(at.H, active))
+    null = vectors[:, values < limits.min_relative_information * values[-1]] / scale[:, None]
+    still = joints_at_rest(torus, angles, sigma, limits)
+    if _loud(sigma, limits) or (null.size and not still):
+        still = turns_about_one_axis(part)
+    unobservable = (*still, *in_words(torus, active, null))
+    if not still and ambiguous(part):
+        unobservable += (AMBIGUOUS,)
+    chi2_per_dof = at.cost / max(sum(at.redundancy) - active.sum(), 1.0)
+    asked = (
+        _loud(sigma, limits)
+        or 1 - used.mean() > limits.silent_rejected_share
+        or neighbour_correlation(part, residual) > limits.systematic_correlation
+        or chi2_per_dof > limits.max_chi2_per_dof
+    )
+    causes = causes_of(problem, estimate, limits) if asked and not still else ()
+    moved_at = None if causes else base_moved_at(problem, estimate)
+    refusal = (
+        _misfits(part, sigma, chi2_per_dof, still, limits)
+        or _too_long(torus, limits)
+        or _too_many_rejected(used, moved_at, limits)
+        or _undetermined(covariance, unobservable, limits)
+    )
+    open_question = refusal is None or (refusal.code == "misfit" and moved_at is None)
+    bump = bump_of(problem, estimate, angles, sigma, line) if open_question and not causes else None
+    moved, moved_at = ((bump.note,), None) if bump else ((), moved_at)
+    causes = moved if bump and bump.harmful else causes
+    fitted = estimate.covariance is not None and not refusal and not causes
+    clean = residual_notes(part, angles, residual, at.redundancy[0]) if fitted else ()
+    return Assessment(
+        angles=_spread(angles.T, used),
+        position_residual=_spread(residual[:3].T, used),
+        rotation_residual=_spread(residual[3:].T, used),
+        sigma_t=sigma[0],
+        sigma_r=sigma[1],
+        chi2_per_dof=float(chi2_per_dof),
+        singular_values=values[::-1],
+        unobservable=unobservable,
+        notes=(*_rejections(used, moved_at, limits), *(causes or moved), *clean),
+        refusal=_with_causes(refusal, causes, used, limits),
+    )
+
+
+def _loud(sigma: tuple[float, float], limits: Limits) -> bool:
+    return sigma[0] > limits.max_sigma_t_m or sigma[1] > limits.max_sigma_r_rad
+
+
+def _with_causes(refusal: Note | None, causes: tuple[Note, ...], used: np.ndarray, limits: Limits) -> Note | None:
+    """The refusal with its likely causes. Wrong sweeps that were rejected are no reason to refuse the others."""
+    left_out = all(note.code in LABELS for note in causes) and 1 - used.mean() > limits.silent_rejected_share
+    if not causes or (refusal is None and left_out):
+        return refusal
+    likely = "; or ".join(note.message for note in causes)
+    words = refusal.message if refusal and refusal.code == "misfit" else "the poses do not fit one C-arm as they stand"
+    return Note("misfit", f"{words}. Likely cause: {likely}")
+
+
+def _too_long(torus: Torus, limits: Limits) -> Note | None:
+    length = float(np.linalg.norm(torus.offset))
+    if length <= limits.max_length_m:
+        return None
+    return Note(
+        "misfit",
+        f"the sensor would stand {length:.3g} m from the pivot: is the unit of the position columns right "
+        "(millimetres read as metres)?",
+    )
+
+
+def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limits: Limits) -> Assessment:
+    """The verdict on an estimate without a chain, from its own residuals."""
+    residual = estimate.residual if estimate.residual is not None else np.zeros((len(part), 1))
+    sigma = estimate.sigma_t or float(np.sqrt((residual**2).mean()))
+    refusal = None
+    if len(part) < limits.min_poses:
+        refusal = Note("too_few_poses", f"{len(part)} usable poses; at least {limits.min_poses} are needed")
+    elif estimate.major_radius is None and estimate.unobservable:
+        refusal = Note("unobservable", "; ".join(estimate.unobservable))
+    elif sigma > limits.max_sigma_t_m:
+        refusal = misfit(sigma, 0.0)
+    elif estimate.offset is None and thickness(part) < limits.min_spread_sigmas * sigma:
+        refusal = Note(
+            "unobservable", "the positions fill no surface beyond their noise: the arcs are too short for it"
+        )
+    elif estimate.covariance and estimate.covariance.block("offset").size:
+        refusal = uncertain(estimate.covariance, limits)
+    given = part.sigma_t
+    return Assessment(
+        angles=None,
+        position_residual=_spread(residual, used),
+        rotation_residual=None,
+        sigma_t=sigma,
+        sigma_r=None,
+        chi2_per_dof=float((residual**2).mean() / given**2) if given else 1.0,
+        singular_values=np.zeros(0),
+        unobservable=estimate.unobservable,
+        notes=(),
+        refusal=refusal,
+    )
+
+
+def _hardly_any(problem: Problem, part: Problem, limits: Limits) -> Note | None:
+    """Why of enough poses too few were used, where the orientations tell."""
+    if not len(part) < limits.min_poses <= len(problem) or problem.R_world_sensor is None:
+        return None
+    one_axis = turns_about_one_axis(problem)
+    return Note("one_axis_only", "; ".join(one_axis)) if one_axis else None
+
+
+def _spread(values: Array, used: np.ndarray) -> Array:
+    """Rows of the used poses among all, NaN elsewhere."""
+    full = np.full((len(used), values.shape[1]), np.nan)
+    full[used] = values
+    return full
+
+
+def _rejections(used: np.ndarray, moved_at: int | None, limits: Limits) -> tuple[Note, ...]:
+    """What there is to say of the poses that were not used."""
+    if moved_at is not None:
+        return (_base_moved(moved_at, used),)
+    share = 1 - used.mean()
+    if share <= limits.silent_rejected_share:
+        return ()
+    return (Note("many_rejected", f"{share:.0%} of the poses do not agree with the others and were not used"),)
+
+
+def _base_moved(pose: int, used: np.ndarray) -> Note:
+    return Note(
+        "base_moved",
+        f"the base seems to have been moved at pose {pose}: the {(~used).sum()} poses that do not fit agree with the "
+        "same machine standing elsewhere; give them a 'placement' of their own",
+    )
+
+
+def _too_many_rejected(used: np.ndarray, moved_at: int | None, limits: Limits) -> Note | None:
+    share = 1 - used.mean()
+    if moved_at is not None and share > limits.max_moved_share:
+        return Note("misfit", _base_moved(moved_at, used).message)
+    if share > limits.max_rejected_share:
+        return Note("too_many_outliers", f"{share:.0%} of the poses agree with no C-arm that explains the others")
+    return None
+
+
+def _misfits(
+    part: Problem, sigma: tuple[float, float], chi2_per_dof: float, still: tuple[str, ...], limits: Limits
+) -> Note | None:
+    if still:
+        return Note("one_axis_only", "; ".join(still))
+    if _loud(sigma, limits):
+        return misfit(*sigma)
+    given = part.sigma_t is not None and part.sigma_r is not None
+    if given and chi2_per_dof > limits.max_chi2_per_dof:
+        return Note("misfit", f"residuals exceed the given noise: chi-square per degree of freedom {chi2_per_dof:.1f}")
+    return None
+
+
+def _undetermined(covariance: Covariance, unobservable: tuple[str, ...], limits: Limits) -> Note | None:
+    """Two machines explain arcs that are too short for the noise as well: then the noise is the reason."""
+    refusal = uncertain(covariance, limits) if unobservable in ((), (AMBIGUOUS,)) else None
+    if unobservable and not refusal:
+        return Note("unobservable", "; ".join(unobservable))
+    return refusal

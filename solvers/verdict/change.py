@@ -1,0 +1,181 @@
+"""Where in a recording the base or the sensor may have been moved: a score scan over the poses. docs/estimation.md,
+section 12.
+
+The alternative "the poses from k on have ``T_world_torus (+) delta``", or ``T_sensor_carm (+) delta``, is tested at
+the estimate for every k at once, with all angles and all unknowns of the machine as nuisance. The poses count as
+ordered in time.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import fdtrc
+
+from solvers.likelihood.linearise import LOCAL, AngleModel, Linearisation
+from solvers.likelihood.reduced import RESIDUAL, blocks_of, inverse_blocks, weighted
+from solvers.problem import Problem
+from solvers.se3 import Array, rot_y
+
+LEAST_POSES = 6
+"""A change is looked for no nearer to the ends of a placement."""
+CANDIDATES = 250
+"""Poses of a placement at which a change is looked for at first; then at every pose near the best of them."""
+UNSEEN = 1e-6
+"""Share of the information on a direction that the nuisance must leave for it to count as seen."""
+EXACT = 1e-3
+"""Mean square of the weighted residuals below which they are rounding, not noise."""
+ROUNDING = 1e-9
+"""Share of the greatest information below which that on another coordinate is rounding: a roll that no label sees."""
+ORDERS = (1, 2, 3)
+"""Harmonics of both angles that make up a flex."""
+FREEDOM = 4
+"""Residuals of a pose, less its two angles."""
+BASE, SENSOR = slice(0, 6), slice(8, 14)
+"""The local unknowns of which a move is tested."""
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """The most likely move within a placement."""
+
+    pose: int
+    """The first pose after it."""
+    displacement: Array
+    """(6,) right perturbation [v, w] of what moved, m and rad; 0 where it is not seen."""
+    statistic: float
+    """By how much the change lowers the weighted sum of squares."""
+    drift: float
+    """By how much a drift through the same placement would, linear and quadratic in the number of the pose."""
+    probability: float
+    """That noise alone makes so great a statistic anywhere (a bound)."""
+
+
+def rows_of(line: Linearisation, angles: Array, problem: Problem, sigma: tuple[float, float], flex: bool) -> Array:
+    """The weighted columns of the poses (6, C, N), each less what the pose's own angles take of it. Their products are
+    the information and the gradient.
+
+    C are the 14 local unknowns, those of a ``flex`` (position and rotation by `ORDERS` of both angles), and last the
+    residual. Both angles count as unknown at every pose: labels and readings, which may be wrong, play no part.
+    """
+    model = AngleModel.of(problem.without_labels())
+    B, A = weighted(line, model, sigma)
+    waves = [_flex(angles, sigma) if model.scale is None else _flex(angles, sigma) / model.scale.repeat(3, 0)[:, None]]
+    B = np.concatenate([B[:, :LOCAL], *(waves if flex else []), B[:, RESIDUAL:]], axis=1)
+    C = [(A[:, j, None] * B).sum(axis=0) for j in (0, 1)]
+    g, h, k = inverse_blocks(blocks_of(A), model)
+    B -= A[:, 0, None] * (g * C[0] + h * C[1]) + A[:, 1, None] * (h * C[0] + k * C[1])
+    return B
+
+
+def most_likely(rows: Array, problem: Problem, by: Array | None = None, of: slice = BASE) -> Change | None:
+    """The change that lowers the sum of squares most, from `rows_of`; None where there is none to look for. The poses
+    are ordered ``by`` (N,), in time unless given; what moves is the `BASE` or the `SENSOR`."""
+    normal = _Normal.of(rows, problem)
+    best: Change | None = None
+    for p in range(problem.placements):
+        here = np.flatnonzero(problem.placement == p)
+        first, last = LEAST_POSES, len(here) - LEAST_POSES
+        if last < first:
+            continue
+        if by is not None:
+            here = here[np.argsort(by[here])]
+        U = rows if by is None and problem.placements == 1 else rows[..., here]
+        products = np.einsum("rin,rkn->ikn", U[:, of], U)
+        step = max(1, len(here) // CANDIDATES)
+        cuts = np.arange(first, last + 1, step)
+        after = _after(products, cuts)
+        near = cuts[np.argmax(normal.lowered(p, after, after[..., of])[0])]
+        cuts = np.arange(max(first, near - step), min(last, near + step) + 1)
+        after = _after(products, cuts)
+        lowered, seen, delta = normal.lowered(p, after, after[..., of])
+        k = int(np.argmax(lowered))
+        if best is None or lowered[k] > best.statistic:
+            dof = FREEDOM * len(problem) - normal.rank - seen[k]
+            known = min(dof, seen[k]) > 0
+            F = lowered[k] / seen[k] / max((normal.cost - lowered[k]) / dof, EXACT) if known else 0.0
+            best = Change(
+                pose=int(here[cuts[k]]),
+                displacement=delta[k],
+                statistic=float(lowered[k]),
+                drift=_drift(normal, p, products, of),
+                probability=min(1.0, len(problem) * float(fdtrc(seen[k], dof, F))) if known else 1.0,
+            )
+    return best
+
+
+def _drift(normal: "_Normal", p: int, products: Array, of: slice) -> float:
+    """By how much a displacement that grows as a polynomial of the pose lowers the sum of squares."""
+    time = np.linspace(-1.0, 1.0, products.shape[-1])
+    moments = [products @ time**k for k in range(5)]
+    after = np.concatenate([moments[1], moments[2]])
+    squares = np.block([[moments[j + k][:, of] for k in (1, 2)] for j in (1, 2)])
+    return float(normal.lowered(p, after[None], squares[None])[0][0])
+
+
+def _after(products: Array, cuts: np.ndarray) -> Array:
+    """Sums (K, 6, C) of the poses' products (6, C, n) from each cut on."""
+    bins = np.add.reduceat(products, cuts, axis=-1)
+    return np.moveaxis(np.cumsum(bins[..., ::-1], axis=-1)[..., ::-1], -1, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Normal:
+    """The normal equations of the nuisance."""
+
+    C: Array
+    """(D, D) pseudo-inverse of the information."""
+    g: Array
+    """(D,) gradient."""
+    cost: float
+    """Sum of squares that the best nuisance leaves."""
+    rank: int
+    columns: np.ndarray
+    """(P, C - 1) positions of a placement's local unknowns among all."""
+
+    @staticmethod
+    def of(rows: Array, problem: Problem) -> "_Normal":
+        """From `rows_of`."""
+        P, width = problem.placements, rows.shape[1]
+        size = 6 * P + width - 7
+        shared = 6 * P + np.arange(width - 7)
+        columns = np.stack([np.concatenate([6 * p + np.arange(6), shared]) for p in range(P)])
+        H = np.zeros((size + 1, size + 1))
+        for p in range(P):
+            U = rows if P == 1 else rows[..., problem.placement == p]
+            index = np.append(columns[p], size)
+            H[np.ix_(index, index)] += np.matmul(U, U.swapaxes(1, 2)).sum(axis=0)
+        scale = 1 / np.sqrt(np.maximum(np.diagonal(H)[:-1], 1e-300))
+        values, vectors = np.linalg.eigh(H[:-1, :-1] * np.outer(scale, scale))
+        kept = values > 1e-12 * values[-1]
+        V = scale[:, None] * vectors[:, kept]
+        C = (V / values[kept]) @ V.T
+        g = H[:-1, -1]
+        return _Normal(C, g, float(H[-1, -1] - g @ C @ g), int(kept.sum()), columns)
+
+    def lowered(self, p: int, after: Array, squares: Array) -> tuple[Array, np.ndarray, Array]:
+        """By how much K displacements in placement p, of M unknowns each, lower the sum of squares (K,), how many of
+        their directions are seen (K,), and the displacements (K, M). ``after`` (K, M, C) are their products with all,
+        ``squares`` (K, M, M) with themselves."""
+        D, mine = after[..., :-1], self.columns[p]
+        CD = self.C[np.ix_(mine, mine)] @ D.swapaxes(1, 2)
+        g = after[..., -1] - np.einsum("kil,l->ki", D, (self.C @ self.g)[mine])
+        own = np.diagonal(squares, axis1=1, axis2=2)
+        scale = np.sqrt(np.where(own > ROUNDING * own.max(axis=1, keepdims=True), own, np.inf))
+        values, vectors = np.linalg.eigh((squares - D @ CD) / (scale[:, :, None] * scale[:, None]))
+        seen = values > UNSEEN
+        z = np.einsum("kij,ki->kj", vectors, g / scale)
+        inverse = np.where(seen, 1 / np.where(seen, values, 1.0), 0.0)
+        delta = -np.einsum("kij,kj->ki", vectors, inverse * z) / scale
+        return (inverse * z**2).sum(axis=1), seen.sum(axis=1), delta
+
+
+def _flex(angles: Array, sigma: tuple[float, float]) -> Array:
+    """(6, 12 K, N) weighted columns of a position and a rotation that follow the angles, in the frame that alpha turns
+    and beta does not."""
+    waves = np.stack([f(k * a) for a in angles for k in ORDERS for f in (np.cos, np.sin)])
+    turned = np.moveaxis(rot_y(angles[1]), 0, -1)
+    columns = (turned[:, :, None] * waves).swapaxes(0, 1).reshape(3, -1, angles.shape[1])
+    nothing = np.zeros_like(columns)
+    return np.concatenate(
+        [np.concatenate([columns / sigma[0], nothing]), np.concatenate([nothing, columns / sigma[1]])], axis=1
+    )
