@@ -8,7 +8,8 @@ from hashlib import sha256
 from pathlib import Path
 
 from carm_kin.batches.journal import BAD_INPUT, OK, REFUSED
-from carm_kin.calibration.settings import Settings, calibrate_as
+from carm_kin.calibration.by_settings import calibrate_as
+from carm_kin.calibration.settings import Settings
 from carm_kin.errors import InputError
 from carm_kin.machine.urdf import find_urdf
 from carm_kin.recording.formats import read_recording

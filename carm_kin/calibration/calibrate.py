@@ -11,6 +11,7 @@ import solvers
 from carm_kin.calibration.assembly import refused_result, result_of
 from carm_kin.calibration.options import options_of
 from carm_kin.calibration.problem import to_problem
+from carm_kin.calibration.settings import CIRCLE, options_class, solver_for
 from carm_kin.errors import InputError
 from carm_kin.recording.checks import REPEATED, repeated
 from carm_kin.recording.recording import Recording
@@ -53,13 +54,10 @@ def calibrate(
 
     Raises InputError for an unknown solver or option, and where the recording lacks what the solver needs.
     """
-    name = solver or ("kinematic" if locus == "circle" else "direct")
-    module = _module(name)
-    if locus != "circle":
-        if name != "direct":
-            raise InputError(f"locus '{locus}' needs the solver 'direct', not '{name}'")
+    name = solver_for(solver, locus)
+    if locus != CIRCLE:
         options["locus"] = locus
-    chosen = options_of(module.Options, name, options)
+    chosen = options_of(options_class(name), name, options)
     check_noise("sigma_t_m", sigma_t_m)
     check_noise("sigma_r_rad", sigma_r_rad)
     again = repeated(recording.p_world_sensor, recording.R_world_sensor)
@@ -69,7 +67,7 @@ def calibrate(
         recording,
         ~again,
         lambda kept: replace(to_problem(kept, angular, orbital), sigma_t=sigma_t_m, sigma_r=sigma_r_rad),
-        module,
+        solvers.solver(name),
         chosen,
         limits,
         provenance_of(recording, command, options.get("seed")),
@@ -128,13 +126,6 @@ def _with_repeated(result: CalibrationResult, recording: Recording, again: np.nd
         warnings=(*(note for note in recording.warnings if note.code == "duplicated_poses"), *result.warnings),
         angles_rad=angles,
     )
-
-
-def _module(name: str) -> ModuleType:
-    try:
-        return solvers.solver(name)
-    except KeyError:
-        raise InputError(f"solver '{name}' is unknown; it is one of {', '.join(solvers.solver_names())}") from None
 
 
 def check_noise(name: str, value: float | None) -> None:

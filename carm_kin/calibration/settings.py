@@ -1,23 +1,56 @@
-"""How a recording is calibrated: the options of `carm-kin calibrate` as one value, and what they make of it."""
+"""How a recording is calibrated: the options of `carm-kin calibrate` as one value, and which of them go together.
+
+The command, a batch, a comparison and `carm_kin.calibrate` take their rules from here.
+"""
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from math import radians
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from math import inf, radians
 from typing import Any
 
 import solvers
-from carm_kin.calibration.calibrate import calibrate
-from carm_kin.calibration.cross_validate import cross_validate
 from carm_kin.calibration.options import options_of
-from carm_kin.cli.arguments import above_zero, joint_names
 from carm_kin.errors import InputError
 from carm_kin.recording.recording import Recording
 from carm_kin.results.provenance import command_line
-from carm_kin.results.result import CalibrationResult
 
 CHAIN = "chain"
 """The solver of a URDF's whole chain."""
+CIRCLE = "circle"
+"""The locus of a C-arm's pivot."""
+LOCUS_SOLVER = "direct"
+"""The solver that takes any locus."""
+
+Named = Callable[[str], str]
+"""What a setting is called where it was given, such as ``--sigma-t-mm`` for ``sigma_t_mm``."""
+
+
+def solver_for(solver: str | None, locus: str = CIRCLE, urdf: str | None = None) -> str:
+    """The solver that is meant: the given one, else ``direct`` for another locus than a C-arm's, ``chain`` with a URDF,
+    ``kinematic``.
+
+    Raises InputError where solver, locus and URDF do not go together.
+    """
+    name = solver or (LOCUS_SOLVER if locus != CIRCLE else CHAIN if urdf is not None else "kinematic")
+    if name == CHAIN and (urdf is None or locus != CIRCLE):
+        raise InputError("the solver 'chain' needs a urdf (--urdf), and the locus 'circle'")
+    if locus != CIRCLE and name != LOCUS_SOLVER:
+        raise InputError(f"locus '{locus}' needs the solver '{LOCUS_SOLVER}', not '{name}'")
+    return name
+
+
+def options_class(solver: str) -> type:
+    """The dataclass of a solver's options. Raises InputError for an unknown solver."""
+    if solver == CHAIN:
+        from solvers.chain.chain import Options
+
+        return Options
+    try:
+        return solvers.solver(solver).Options
+    except KeyError:
+        known = ", ".join((CHAIN, *solvers.solver_names()))
+        raise InputError(f"solver '{solver}' is unknown; it is one of {known}") from None
 
 
 @dataclass(frozen=True)
@@ -25,8 +58,8 @@ class Settings:
     """What stands in a list of recordings, under the names of the command's options."""
 
     solver: str | None = None
-    """One of `solvers.solver_names()`, or ``chain``; by default ``chain`` with a URDF, else ``kinematic``."""
-    locus: str = "circle"
+    """One of `solvers.solver_names()`, or ``chain``; by default that of `solver_for`."""
+    locus: str = CIRCLE
     urdf: str | None = None
     """A path or the name of a bundled machine."""
     angular: str | None = None
@@ -47,35 +80,57 @@ class Settings:
 
     @property
     def solver_name(self) -> str:
-        """The solver, by default that of the command."""
-        if self.solver is not None:
-            return self.solver
-        if self.locus != "circle":
-            return "direct"
-        return "kinematic" if self.urdf is None else CHAIN
+        """The solver that is meant. Raises InputError as `solver_for`."""
+        return solver_for(self.solver, self.locus, self.urdf)
 
-    def check(self) -> None:
-        """Raise InputError for what is wrong whatever the recording."""
+    @property
+    def noise(self) -> dict[str, float | None]:
+        """The tracker's noise as `carm_kin.calibrate` takes it, m and rad; None where it is not given."""
+        return {
+            "sigma_t_m": None if self.sigma_t_mm is None else self.sigma_t_mm * 1e-3,
+            "sigma_r_rad": None if self.sigma_r_deg is None else self.sigma_r_deg * radians(1),
+        }
+
+    def check(self, named: Named = str) -> None:
+        """Raise InputError for what is wrong whatever the recording, in the words of where it was given."""
         name = self.solver_name
-        if name == CHAIN and (self.urdf is None or self.locus != "circle"):
-            raise InputError("the solver 'chain' needs a urdf, and the locus 'circle'")
-        own = [name for name in _OF_CHAIN if getattr(self, name) != getattr(Settings(), name)]
+        own = [named(key) for key in OF_CHAIN if getattr(self, key) != getattr(Settings(), key)]
         if own and name != CHAIN:
-            raise InputError(f"{', '.join(own)}: needs the calibration of a chain, a urdf without another solver")
+            raise only_with_chain(", ".join(own))
+        for key in ("sigma_t_mm", "sigma_r_deg"):
+            above_zero(named(key), getattr(self, key), 1.0)
+        for key in ("sigma_reading_deg", "sigma_reading_mm"):
+            value = getattr(self, key)
+            if value is not None and not 0 <= value < inf:
+                raise InputError(f"{named(key)} must be a finite number from 0 on, not {value}")
+        if self.cross_validate is not None and self.cross_validate < 2:
+            raise InputError(f"{named('cross_validate')} needs at least 2 parts, not {self.cross_validate}")
+        options_of(options_class(name), name, self.options)
         if self.urdf is not None:
             from carm_kin.machine.urdf import read_urdf
 
             read_urdf(self.urdf)
-        if self.cross_validate is not None and self.cross_validate < 2:
-            raise InputError(f"cross_validate needs at least 2 parts, not {self.cross_validate}")
-        _noise(self)
-        if name == CHAIN:
-            from solvers.chain.chain import Options
-        elif name in solvers.solver_names():
-            Options = solvers.solver(name).Options
-        else:
-            raise InputError(f"solver '{name}' is unknown; it is one of {', '.join((CHAIN, *solvers.solver_names()))}")
-        options_of(Options, name, self.options)
+
+    def joint_names(self, recording: Recording) -> tuple[str, str]:
+        """The names of the angular and the orbital joint in the recording: given, from the URDF, or the usual ones.
+
+        Raises InputError where the recording names joints, but not those that were asked for.
+        """
+        names = {*recording.joints, *(() if recording.moving is None else recording.moving)} - {""}
+        has = f"the recording has {', '.join(sorted(names))}"
+        for option, joint in (("--angular", self.angular), ("--orbital", self.orbital)):
+            if joint is not None and names and joint not in names:
+                raise InputError(f"{option}: no joint '{joint}'; {has}")
+        if self.urdf is None:
+            return self.angular or "angular", self.orbital or "orbital"
+        from carm_kin.machine.chain import chain_of
+        from carm_kin.machine.urdf import read_urdf
+
+        chain = chain_of(read_urdf(self.urdf), self.sensor_link, self.angular, self.orbital)
+        axes = chain.names[chain.angular], chain.names[chain.orbital]
+        if names and not names & set(axes):
+            raise InputError(f"--urdf: its axes are '{axes[0]}' and '{axes[1]}'; {has}; is it another machine?")
+        return axes
 
     def command(self, path: str) -> str:
         """The command that makes the same result of the recording in ``path``."""
@@ -88,62 +143,19 @@ class Settings:
         return command_line(arguments)
 
 
-_OF_CHAIN = ("free", "zeros", "gains", "sigma_reading_deg", "sigma_reading_mm")
+OF_CHAIN = ("free", "zeros", "gains", "sigma_reading_deg", "sigma_reading_mm")
+"""Settings that the calibration of a chain alone has."""
 
 
-def calibrate_as(recording: Recording, settings: Settings, command: str | None = None) -> CalibrationResult:
-    """Calibrate a recording as the settings say.
-
-    Raises InputError where they are wrong, or the recording lacks what they need; a refusal is a result.
-    """
-    settings.check()
-    calibrated = _chain if settings.solver_name == CHAIN else _two_axes
-    return calibrated(recording, settings, command)
+def only_with_chain(what: str) -> InputError:
+    """The error of what a two-axis calibration does not have."""
+    return InputError(f"{what}: needs the calibration of a chain, a urdf without another solver")
 
 
-def two_axes_arguments(recording: Recording, settings: Settings) -> dict[str, Any]:
-    """What `carm_kin.calibrate` takes besides the solver. Raises InputError for joints the recording does not have."""
-    names = joint_names(recording, settings.urdf, settings.sensor_link, settings.angular, settings.orbital)
-    chosen = {"locus": settings.locus, "angular": names[0], "orbital": names[1]}
-    return chosen | _noise(settings) | dict(settings.options)
-
-
-def _two_axes(recording: Recording, settings: Settings, command: str | None) -> CalibrationResult:
-    chosen = two_axes_arguments(recording, settings)
-    result = calibrate(recording, settings.solver, command=command, **chosen)
-    if settings.cross_validate is None or result.refusal:
-        return result
-    held_out = cross_validate(recording, settings.cross_validate, settings.solver, **chosen)
-    return replace(result, cross_validation=held_out)
-
-
-def _chain(recording: Recording, settings: Settings, command: str | None) -> CalibrationResult:
-    from carm_kin.calibration.chain.calibrate import FreeJoints, calibrate_chain
-
-    assert settings.urdf is not None
-    free, zeros, gains = (
-        tuple(name.strip() for name in names.split(",")) for names in (settings.free, settings.zeros, settings.gains)
-    )
-    reading_deg, reading_mm = settings.sigma_reading_deg, settings.sigma_reading_mm
-    return calibrate_chain(
-        recording,
-        settings.urdf,
-        free=FreeJoints(free, zeros, gains),
-        sensor_link=settings.sensor_link,
-        angular=settings.angular,
-        orbital=settings.orbital,
-        sigma_reading_rad=None if reading_deg is None else radians(reading_deg),
-        sigma_reading_m=None if reading_mm is None else reading_mm * 1e-3,
-        folds=settings.cross_validate,
-        command=command,
-        **_noise(settings),
-        **settings.options,
-    )
-
-
-def _noise(settings: Settings) -> dict[str, Any]:
-    """The tracker's noise as `calibrate` takes it."""
-    return {
-        "sigma_t_m": above_zero("sigma_t_mm", settings.sigma_t_mm, 1e-3),
-        "sigma_r_rad": above_zero("sigma_r_deg", settings.sigma_r_deg, radians(1)),
-    }
+def above_zero(named: str, value: float | None, unit: float) -> float | None:
+    """A value that was given in a ``unit``, in m or rad. Raises InputError where it is not a finite number above 0."""
+    if value is None:
+        return None
+    if not 0 < value < inf:
+        raise InputError(f"{named} must be a finite number above 0, not {value}; leave it out if it is not known")
+    return value * unit

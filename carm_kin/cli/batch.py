@@ -11,15 +11,14 @@ import typer
 
 from carm_kin.batches.journal import OK, Line
 from carm_kin.batches.pool import Workers, WorkersLostError
-from carm_kin.cli.arguments import options, writable
+from carm_kin.cli.arguments import writable
 from carm_kin.cli.options import grouped
+from carm_kin.cli.settings import settings_options
 from carm_kin.cli.terminal import Stderr
 from carm_kin.errors import InputError
 
 if TYPE_CHECKING:
     from carm_kin.batches.batch import Batch
-
-PANEL = "How to calibrate, where a list does not say it"
 
 
 def register(app: typer.Typer) -> None:
@@ -27,31 +26,7 @@ def register(app: typer.Typer) -> None:
     app.command(epilog="Example: carm-kin batch recordings/ more/*.csv list.toml -o calibrated --jobs 4")(batch)
 
 
-def given_settings(
-    solver: Annotated[str | None, typer.Option(help="As of carm-kin calibrate.", rich_help_panel=PANEL)] = None,
-    locus: Annotated[str | None, typer.Option(help="circle or point.", rich_help_panel=PANEL)] = None,
-    urdf: Annotated[str | None, typer.Option(help="A URDF file or a bundled machine.", rich_help_panel=PANEL)] = None,
-    angular: Annotated[str | None, typer.Option(help="Name of the angular joint.", rich_help_panel=PANEL)] = None,
-    orbital: Annotated[str | None, typer.Option(help="Name of the orbital joint.", rich_help_panel=PANEL)] = None,
-    sensor_link: Annotated[
-        str | None, typer.Option(help="Link that carries the sensor.", rich_help_panel=PANEL)
-    ] = None,
-    sigma_t_mm: Annotated[float | None, typer.Option(help="Position noise, if known.", rich_help_panel=PANEL)] = None,
-    sigma_r_deg: Annotated[
-        float | None, typer.Option(help="Orientation noise, if known.", rich_help_panel=PANEL)
-    ] = None,
-    cross_validate: Annotated[int | None, typer.Option(help="Number of held-out parts.", rich_help_panel=PANEL)] = None,
-    option: Annotated[
-        list[str] | None,
-        typer.Option("--option", "-O", help="Option of the solver, NAME=VALUE.", rich_help_panel=PANEL),
-    ] = None,
-) -> dict[str, Any]:
-    """The settings that were given."""
-    found = {name: value for name, value in locals().items() if value is not None and name != "option"}
-    return found | ({"options": options(option)} if option else {})
-
-
-@grouped("given", given_settings)
+@grouped("given", settings_options)
 def batch(
     paths: Annotated[list[str], typer.Argument(help="Recordings, folders, patterns such as 'a/*.csv', TOML lists.")],
     given: dict[str, Any],

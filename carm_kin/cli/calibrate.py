@@ -1,24 +1,19 @@
 """The command `carm-kin calibrate`."""
 
 import sys
-from dataclasses import replace
-from math import radians
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-import carm_kin
-from carm_kin.cli.arguments import Angular, AsJson, Orbital, SensorLink, above_zero, joint_names, options
-from carm_kin.cli.chain import ChainOptions, calibrate_with, chain_options
+from carm_kin.cli.arguments import AsJson, writable
 from carm_kin.cli.options import grouped
 from carm_kin.cli.output import check_place, deliver
 from carm_kin.cli.reading import How, reading_options
 from carm_kin.cli.report import ReportOptions, report_options
+from carm_kin.cli.settings import CHAIN_PANEL, named, settings_options
 from carm_kin.cli.terminal import Stderr
-from carm_kin.errors import InputError, RefusedError
-from carm_kin.recording.recording import Recording
-from carm_kin.results.result import CalibrationResult
+from carm_kin.errors import RefusedError
 
 
 def register(app: typer.Typer) -> None:
@@ -28,77 +23,40 @@ def register(app: typer.Typer) -> None:
 
 @grouped("pages", report_options)
 @grouped("how", reading_options)
-@grouped("chain", chain_options)
+@grouped("given", settings_options)
 def calibrate(
     recording: Annotated[list[Path], typer.Argument(help="File, folder or session; with --urdf several.")],
     how: How,
-    chain: ChainOptions,
+    given: dict[str, Any],
     pages: ReportOptions,
-    solver: Annotated[
-        str | None, typer.Option(help="chain (with --urdf), closed_form, decomposed, direct, kinematic, surface.")
-    ] = None,
-    locus: Annotated[str, typer.Option(help="What the pivot moves on: circle (a C-arm) or point.")] = "circle",
-    urdf: Annotated[
-        str | None, typer.Option(help="Calibrate the chain of this URDF; with --solver only take its joint names.")
-    ] = None,
-    angular: Angular = None,
-    orbital: Orbital = None,
-    sensor_link: SensorLink = None,
-    sigma_t_mm: Annotated[float | None, typer.Option(help="Position noise, if it is known.")] = None,
-    sigma_r_deg: Annotated[float | None, typer.Option(help="Orientation noise, if it is known.")] = None,
-    option: Annotated[
-        list[str] | None, typer.Option("--option", "-O", help="Option of the solver, NAME=VALUE; may be repeated.")
-    ] = None,
-    cross_validate: Annotated[
-        int | None, typer.Option(help="Predict each of so many parts of the recording by the fit to the others.")
+    urdf_out: Annotated[
+        Path | None, typer.Option(help="Write the calibrated URDF here.", rich_help_panel=CHAIN_PANEL)
     ] = None,
     as_json: AsJson = None,
 ) -> None:
     """Calibrate a recording: offset, radii, axes, and how good they are."""
+    from carm_kin.calibration.by_settings import calibrate_as
+    from carm_kin.calibration.settings import CHAIN, Settings, only_with_chain
     from carm_kin.results import summary
     from carm_kin.results.provenance import command_line
 
     check_place(as_json)
     pages.check()
+    settings = Settings(**given)
+    settings.check(named)
+    if urdf_out and settings.solver_name != CHAIN:
+        raise only_with_chain("--urdf-out")
+    urdf_out = writable(urdf_out) if urdf_out else None
     recordings = [how.read(path) for path in recording]
-    settings: dict[str, Any] = {
-        "sigma_t_m": above_zero("--sigma-t-mm", sigma_t_mm, 1e-3),
-        "sigma_r_rad": above_zero("--sigma-r-deg", sigma_r_deg, radians(1)),
-        "command": command_line(sys.argv[1:]),
-    }
-    more, joints = options(option or []), (angular or "angular", orbital or "orbital")
-    if solver == "chain" or (urdf and solver is None and locus == "circle"):
-        if urdf is None or locus != "circle":
-            raise InputError("the solver 'chain' needs --urdf, and the locus 'circle'")
-        settings |= {"angular": angular, "orbital": orbital, "sensor_link": sensor_link, "folds": cross_validate}
-        result = calibrate_with(chain, recordings, urdf, settings, more)
-    else:
-        joints = joint_names(_only_one(recordings, chain), urdf, sensor_link, angular, orbital)
-        settings |= {"locus": locus, "angular": joints[0], "orbital": joints[1], **more}
-        result = _two_axes(recordings[0], solver, cross_validate, settings)
+    result = calibrate_as(recordings, settings, command_line(sys.argv[1:]))
+    if urdf_out and settings.urdf and result.chain:
+        from carm_kin.calibration.chain.calibrated_urdf import calibrated_urdf
+        from carm_kin.machine.urdf import read_urdf, write_urdf
+
+        write_urdf(calibrated_urdf(read_urdf(settings.urdf), result.chain), urdf_out)
     deliver(result, as_json)
-    pages.write(result, recordings, joints)
+    joints = settings.angular or "angular", settings.orbital or "orbital"
+    pages.write(result, recordings, joints if settings.solver_name == CHAIN else settings.joint_names(recordings[0]))
     summary.show(result, Stderr())
     if result.refusal:
         raise RefusedError(result.refusal.code, result.refusal.message)
-
-
-def _only_one(recordings: list[Recording], chain: ChainOptions) -> Recording:
-    """The recording of a two-axis calibration, which has no options of a chain."""
-    if chain.given or len(recordings) > 1:
-        what = ", ".join(chain.given) or "several recordings"
-        raise InputError(f"{what}: needs the calibration of a chain, --urdf without another --solver")
-    return recordings[0]
-
-
-def _two_axes(
-    recording: Recording, solver: str | None, folds: int | None, settings: dict[str, Any]
-) -> CalibrationResult:
-    """The calibration, with its held-out check where that was asked for."""
-    result = carm_kin.calibrate(recording, solver, **settings)
-    if folds is None or result.refusal:
-        return result
-    from carm_kin.calibration.cross_validate import cross_validate
-
-    given = {name: value for name, value in settings.items() if name != "command"}
-    return replace(result, cross_validation=cross_validate(recording, folds, solver, **given))

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 import carm_kin
-from carm_kin.cli.arguments import above_zero, writable
+from carm_kin.calibration.settings import above_zero
+from carm_kin.cli.arguments import writable
 from carm_kin.cli.terminal import Stderr
 from carm_kin.errors import RefusedError
 from carm_kin.streams.marks import Marks

@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 import carm_kin
-from carm_kin.cli.arguments import Angular, AsJson, Orbital, above_zero, joint_names
+from carm_kin.calibration.settings import Settings, above_zero
+from carm_kin.cli.arguments import Angular, AsJson, Orbital
 from carm_kin.cli.options import grouped
 from carm_kin.cli.output import check_place, deliver, ended
 from carm_kin.cli.reading import How, reading_options
@@ -43,7 +44,7 @@ def check(
     check_place(as_json)
     saved = carm_kin.CalibrationResult.from_json(result)
     poses = how.read(recording)
-    joints = joint_names(poses, None, None, angular, orbital)
+    joints = Settings(angular=angular, orbital=orbital).joint_names(poses)
     found = apply(
         saved,
         poses,

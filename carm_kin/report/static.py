@@ -17,6 +17,7 @@ FORMATS = ("svg", "png", "pdf")
 def figure(width: float, height: float) -> "Figure":
     """An empty figure, inches. Raises MissingDependencyError without matplotlib."""
     try:
+        import matplotlib  # noqa: F401
         from matplotlib.figure import Figure
     except ImportError:
         words = "a figure needs the package 'matplotlib': pip install 'carm-kin[figures]'"

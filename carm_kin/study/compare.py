@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 import solvers
+from carm_kin.calibration.by_settings import calibrate_as, two_axes_arguments
 from carm_kin.calibration.cross_validate import cross_validate, errors_of
-from carm_kin.calibration.settings import CHAIN, Settings, calibrate_as, two_axes_arguments
+from carm_kin.calibration.settings import CHAIN, Settings
 from carm_kin.errors import InputError, RefusedError
 from carm_kin.recording.recording import Recording
 from carm_kin.results.differences import Difference, differences

@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from carm_kin.batches.pool import Job, Outcome, Workers, run
-from carm_kin.calibration.settings import Settings, calibrate_as
+from carm_kin.calibration.by_settings import calibrate_as
+from carm_kin.calibration.settings import Settings
 from carm_kin.errors import CarmKinError, InputError
 from carm_kin.results.differences import ANGULAR_AXIS, OFFSET, ORBITAL_AXIS, Difference, differences
 from carm_kin.results.provenance import provenance_of

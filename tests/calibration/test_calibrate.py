@@ -218,7 +218,7 @@ def test_positions_alone_name_the_solver_that_takes_them(solver, noisy):
 
 
 def test_unknown_names_come_with_the_valid_ones(noisy):
-    with pytest.raises(InputError, match="it is one of closed_form, decomposed, direct, kinematic"):
+    with pytest.raises(InputError, match="it is one of chain, closed_form, decomposed, direct, kinematic"):
         carm_kin.calibrate(noisy, "bogus")
     with pytest.raises(InputError, match="needs the solver 'direct', not 'kinematic'"):
         carm_kin.calibrate(noisy, "kinematic", locus="point")

@@ -110,4 +110,4 @@ def test_the_command_writes_it_and_reads_it_back(sweeps, tmp_path, capsys):
     result = CalibrationResult.from_json(out)
     assert result.to_json() == out.read_text()
     assert result.cross_validation.per_fold[0].sweeps == ("angular +0.0 deg",)
-    assert "at least 2 folds" in fails(capsys, "calibrate", tmp_path / "rec.csv", "--cross-validate", 1)
+    assert "at least 2 parts" in fails(capsys, "calibrate", tmp_path / "rec.csv", "--cross-validate", 1)

@@ -151,13 +151,13 @@ def test_held_out_errors_are_printed(files, capsys):
         (["--angular", "lift"], "the angular joint 'lift' is no revolute joint"),
         (["--locus", "point", "--free", "axes"], "--free: needs the calibration of a chain"),
         (["--solver", "kinematic", "--urdf-out", "x.urdf"], "--urdf-out: needs the calibration of a chain"),
-        (["--cross-validate", "1"], "cross-validation needs at least 2 folds, not 1"),
+        (["--cross-validate", "1"], "--cross-validate needs at least 2 parts, not 1"),
         (["-O", "speed=3"], "solver 'chain' has no option 'speed'; it has prior_t"),
         (["-O", "prior_t=fast"], "option 'prior_t' of solver 'chain' must be"),
         (["-O", "prior_t=0"], "option 'prior_t' of solver 'chain' must be at least 1e-07, not 0"),
-        (["-O", "free=axes"], "--option 'free' is an option of the command itself"),
-        (["-O", "folds=3"], "--option 'folds' is an option of the command itself"),
-        (["-O", "prior_t=0.1", "--prior-mm", "1"], "--option 'prior_t' is an option of the command itself"),
+        (["-O", "free=axes"], "--option 'free' is no option of a solver, but one of the command: --free"),
+        (["-O", "folds=3"], "solver 'chain' has no option 'folds'"),
+        (["-O", "prior_t=0.1", "--prior-mm", "1"], "--prior-mm and --option 'prior_t' say the same"),
     ],
 )
 def test_bad_options_end_in_one_line(files, capsys, more, words):
@@ -165,7 +165,7 @@ def test_bad_options_end_in_one_line(files, capsys, more, words):
 
 
 def test_the_chain_needs_a_urdf(files, capsys):
-    assert "needs --urdf" in fails(capsys, "calibrate", files / "rec.csv", "--solver", "chain")
+    assert "needs a urdf (--urdf)" in fails(capsys, "calibrate", files / "rec.csv", "--solver", "chain")
     assert "several recordings: needs" in fails(capsys, "calibrate", files / "rec.csv", files / "rec.csv")
 
 

@@ -114,7 +114,10 @@ def test_bad_options_of_simulate(arguments, expected, tmp_path, monkeypatch, cap
 @pytest.mark.parametrize(
     "arguments, expected",
     {
-        ("--solver", "bogus"): "solver 'bogus' is unknown; it is one of closed_form, decomposed, direct, kinematic",
+        (
+            "--solver",
+            "bogus",
+        ): "solver 'bogus' is unknown; it is one of chain, closed_form, decomposed, direct",
         ("--solver", "../x"): "solver '../x' is unknown",
         ("--locus", "bogus"): "locus 'bogus' is unknown; it is one of circle, point",
         ("--locus", "point", "--solver", "kinematic"): "locus 'point' needs the solver 'direct', not 'kinematic'",
@@ -127,8 +130,8 @@ def test_bad_options_of_simulate(arguments, expected, tmp_path, monkeypatch, cap
         ("-O", "tolerance"): "'tolerance' is not of the form NAME=VALUE",
         ("-O", "=1"): "'=1' is not of the form NAME=VALUE",
         ("-O", "locus=point"): "'locus' is no option of a solver",
-        ("-O", "limits=3"): "'limits' is no option of a solver",
-        ("-O", "recording=3"): "'recording' is no option of a solver",
+        ("-O", "limits=3"): "solver 'kinematic' has no option 'limits'",
+        ("-O", "recording=3"): "solver 'kinematic' has no option 'recording'",
         ("-O", "tolerance=1", "-O", "tolerance=2"): "'tolerance' is given twice",
         ("--angular", "bogus"): "--angular: no joint 'bogus'; the recording has angular, orbital",
         ("--orbital", "bogus"): "--orbital: no joint 'bogus'",
