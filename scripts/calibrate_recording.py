@@ -1,0 +1,51 @@
+"""Calibrate one recording: the numbers, the result as JSON, the report as one HTML page.
+
+    python scripts/calibrate_recording.py [RECORDING] [--out FOLDER]
+
+Without a recording, that of the bundled C-arm 'mobile_skewed' is simulated.
+"""
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+
+import carm_kin
+from carm_kin.report import write_report
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Calibrate one recording.")
+    parser.add_argument("recording", nargs="?", help="a file or folder that carm-kin reads; left out, one is simulated")
+    parser.add_argument("--out", type=Path, default=Path("example"), help="folder for what is written")
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+
+    if arguments.recording:
+        recording = carm_kin.read_recording(arguments.recording)
+    else:
+        noise = {"sigma_t_m": 0.3e-3, "sigma_r_rad": np.radians(0.1)}
+        recording, _ = carm_kin.simulate("mobile_skewed", **noise, seed=7)
+
+    result = carm_kin.calibrate(recording)
+    result.to_json(arguments.out / "result.json")
+    write_report(result, recording, arguments.out / "report.html")
+    if result.offset_sensor_pivot_m is None:  # the data do not support a result, and this is why
+        sys.exit(f"refused: {result.refusal}")
+
+    print(f"{result.used} of {result.poses} poses used")
+    offset, sigma = result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m
+    for axis, value, s in zip("xyz", offset, sigma, strict=True):
+        print(f"offset {axis}      {value * 1e3:9.3f} ± {s * 1e3:.3f} mm")
+    print(f"major radius  {result.major_radius_m * 1e3:9.3f} ± {result.sigma.major_radius_m * 1e3:.3f} mm")
+    for warning in result.warnings:
+        print(f"warning: {warning.message}")
+    print(f"written: {arguments.out / 'result.json'}, {arguments.out / 'report.html'}")
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except carm_kin.CarmKinError as error:
+        sys.exit(f"error: {error}")
