@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from carm_kin.errors import InputError
+from carm_kin.errors import InputError, wrong_type
 from carm_kin.results.chain_result import ChainCalibration
 from carm_kin.results.held_out import CrossValidation
 from carm_kin.results.parts import (
@@ -134,6 +134,22 @@ class CalibrationResult:
         except InputError as error:
             raise InputError(str(error), file=path) from None
         return result
+
+
+ResultLike = CalibrationResult | str | os.PathLike
+"""A calibration, or the path of its JSON file."""
+
+
+def as_result(result: ResultLike) -> CalibrationResult:
+    """A calibration as it is, or the one in a file. Raises InputError as `read_result`."""
+    return result if isinstance(result, CalibrationResult) else read_result(result)
+
+
+def read_result(path: str | os.PathLike) -> CalibrationResult:
+    """The calibration in a file that `CalibrationResult.to_json` wrote. Raises InputError for anything else."""
+    if not isinstance(path, (str, os.PathLike)):
+        raise wrong_type(path, "a calibration (a CalibrationResult, or the path of its JSON file)")
+    return CalibrationResult.from_json(path)
 
 
 def _interval(magnitude: float | None, sigma: float | None) -> tuple[float, float] | None:
