@@ -40,10 +40,9 @@ def simulated(folder: Path) -> Path:
     """The folder with three recordings."""
     folder.mkdir(parents=True, exist_ok=True)
     for seed, name in enumerate(("monday", "tuesday", "wednesday")):
-        noise = {"sigma_t_m": 0.3e-3, "sigma_r_rad": np.radians(0.1)}
-        recording, _ = carm_kin.simulate("mobile_skewed", **noise, seed=seed)
+        recording, _ = carm_kin.simulate("mobile_skewed", sigma_t_m=0.3e-3, sigma_r_rad=np.radians(0.1), seed=seed)
         if name == "tuesday":  # its operator stopped after the first sweep
-            recording = recording.select(recording.sweep == recording.sweep[0])
+            recording = recording.select(recording.sweeps[0].poses)
         carm_kin.write_recording(recording, folder / f"{name}.csv")
     return folder
 

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 
 import carm_kin
-from carm_kin.report import write_report
 
 
 def main() -> None:
@@ -25,20 +24,20 @@ def main() -> None:
     if arguments.recording:
         recording = carm_kin.read_recording(arguments.recording)
     else:
-        noise = {"sigma_t_m": 0.3e-3, "sigma_r_rad": np.radians(0.1)}
-        recording, _ = carm_kin.simulate("mobile_skewed", **noise, seed=7)
+        recording, _ = carm_kin.simulate("mobile_skewed", sigma_t_m=0.3e-3, sigma_r_rad=np.radians(0.1), seed=7)
 
     result = carm_kin.calibrate(recording)
     result.to_json(arguments.out / "result.json")
-    write_report(result, recording, arguments.out / "report.html")
-    if result.offset_sensor_pivot_m is None:  # the data do not support a result, and this is why
-        sys.exit(f"refused: {result.refusal}")
+    carm_kin.write_report(result, recording, arguments.out / "report.html")
+    if result.refusal:  # the data do not support a result, and this is why
+        sys.exit(f"refused ({result.refusal.code}): {result.refusal.message}")
+    offset, sigma = result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m
+    assert offset is not None
+    assert sigma is not None
 
     print(f"{result.used} of {result.poses} poses used")
-    offset, sigma = result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m
     for axis, value, s in zip("xyz", offset, sigma, strict=True):
-        print(f"offset {axis}      {value * 1e3:9.3f} ± {s * 1e3:.3f} mm")
-    print(f"major radius  {result.major_radius_m * 1e3:9.3f} ± {result.sigma.major_radius_m * 1e3:.3f} mm")
+        print(f"offset {axis} {value * 1e3:9.3f} ± {s * 1e3:.3f} mm")
     for warning in result.warnings:
         print(f"warning: {warning.message}")
     print(f"written: {arguments.out / 'result.json'}, {arguments.out / 'report.html'}")

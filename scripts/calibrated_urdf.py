@@ -12,9 +12,6 @@ from pathlib import Path
 import numpy as np
 
 import carm_kin
-from carm_kin.calibration.chain.calibrate import calibrate_chain
-from carm_kin.calibration.chain.calibrated_urdf import calibrated_urdf
-from carm_kin.machine.urdf import read_urdf, write_urdf
 
 
 def main() -> None:
@@ -28,21 +25,19 @@ def main() -> None:
     if arguments.recording:
         recording = carm_kin.read_recording(arguments.recording)
     else:
-        noise = {"sigma_t_m": 0.3e-3, "sigma_r_rad": np.radians(0.1)}
-        recording, _ = carm_kin.simulate("mobile_skewed", **noise, seed=7)
+        recording, _ = carm_kin.simulate("mobile_skewed", sigma_t_m=0.3e-3, sigma_r_rad=np.radians(0.1), seed=7)
 
-    urdf = read_urdf(arguments.urdf)
-    result = calibrate_chain(recording, urdf)
-    if result.chain is None:
-        sys.exit(f"refused: {result.refusal}")
-    write_urdf(calibrated_urdf(urdf, result.chain), arguments.out / "calibrated.urdf")
+    result = carm_kin.calibrate_chain(recording, arguments.urdf)
+    if result.refusal:
+        sys.exit(f"refused ({result.refusal.code}): {result.refusal.message}")
+    assert result.chain is not None
+    carm_kin.export(result, "urdf", arguments.out / "calibrated.urdf", urdf=arguments.urdf)
 
     for name, error in (("drawing", result.chain.nominal), ("calibrated", result.chain.calibrated)):
         rms_deg = np.degrees(error.rotation_rms_rad)
         print(f"residuals, {name:<10} {error.translation_rms_m * 1e3:7.3f} mm {rms_deg:6.3f} deg rms")
     for joint in result.chain.joints:
-        numbers = zip("xyz", joint.shift_m, joint.shift_sigma_m, strict=True)
-        for axis, value, s in numbers:
+        for axis, value, s in zip("xyz", joint.shift_m, joint.shift_sigma_m, strict=True):
             if axis in joint.estimated:
                 print(f"{joint.joint} moved along {axis}: {value * 1e3:8.3f} ± {s * 1e3:.3f} mm")
     for words in result.chain.not_identifiable:

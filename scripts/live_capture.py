@@ -2,7 +2,7 @@
 
     python scripts/live_capture.py [HOST[:PORT]] [--seconds 60] [--out FOLDER]
 
-Without a tracker, a simulated recording is played as one on this computer. In a terminal the capture shows what it sees.
+Without a tracker, a simulated recording is played as one on this computer. In a terminal one sees what arrives.
 """
 
 import argparse
@@ -34,16 +34,18 @@ def main() -> None:
     if arguments.server:
         server, ends = Address.parse(arguments.server, PORT), Ends(arguments.seconds)
     else:
-        noise = {"sigma_t_m": 0.3e-3, "sigma_r_rad": np.radians(0.1)}
-        recording, _ = carm_kin.simulate("mobile_skewed", **noise, seed=7)
+        recording, _ = carm_kin.simulate("mobile_skewed", sigma_t_m=0.3e-3, sigma_r_rad=np.radians(0.1), seed=7)
         server, ends = played(recording), Ends(arguments.seconds, poses=len(recording))
 
     _, seen = run(Request(server, path, ends=ends), Console(stderr=True))
     print(f"{seen.poses} of {seen.frames} frames had a pose; written: {path}")
     result = carm_kin.calibrate(carm_kin.read_recording(path))
-    if result.offset_sensor_pivot_m is None:
-        sys.exit(f"refused: {result.refusal}")
-    for axis, value, s in zip("xyz", result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m, strict=True):
+    if result.refusal:
+        sys.exit(f"refused ({result.refusal.code}): {result.refusal.message}")
+    offset, sigma = result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m
+    assert offset is not None
+    assert sigma is not None
+    for axis, value, s in zip("xyz", offset, sigma, strict=True):
         print(f"offset {axis} {value * 1e3:9.3f} ± {s * 1e3:.3f} mm")
 
 

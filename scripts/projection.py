@@ -25,8 +25,7 @@ def main() -> None:
     if arguments.recording:
         recording = carm_kin.read_recording(arguments.recording)
     else:
-        noise = {"sigma_t_m": 0.3e-3, "sigma_r_rad": np.radians(0.1)}
-        recording, _ = carm_kin.simulate("mobile_skewed", **noise, seed=7)
+        recording, _ = carm_kin.simulate("mobile_skewed", sigma_t_m=0.3e-3, sigma_r_rad=np.radians(0.1), seed=7)
 
     result = carm_kin.calibrate(recording)
     xray = carm_kin.Xray.of_urdf(arguments.urdf, DETECTOR)

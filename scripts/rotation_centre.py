@@ -23,10 +23,9 @@ def main() -> None:
 
     if arguments.result:
         recording = carm_kin.read_recording(arguments.recording)
-        result = carm_kin.CalibrationResult.from_json(arguments.result)
+        result = carm_kin.read_result(arguments.result)
     else:
-        noise = {"sigma_t_m": 0.3e-3, "sigma_r_rad": np.radians(0.1)}
-        recording, _ = carm_kin.simulate("mobile_skewed", **noise, seed=7)
+        recording, _ = carm_kin.simulate("mobile_skewed", sigma_t_m=0.3e-3, sigma_r_rad=np.radians(0.1), seed=7)
         result = carm_kin.calibrate(recording)
 
     centre = carm_kin.RotationCentre(result)  # RotationCentre(result, "placement") where the base has several
