@@ -50,5 +50,5 @@ def simulated(folder: Path) -> Path:
 if __name__ == "__main__":  # the worker processes import this file, too
     try:
         main()
-    except carm_kin.CarmKinError as error:
+    except (carm_kin.CarmKinError, OSError) as error:
         sys.exit(f"error: {error}")

@@ -29,22 +29,15 @@ def main() -> None:
     result = carm_kin.calibrate(recording)
     result.to_json(arguments.out / "result.json")
     carm_kin.write_report(result, recording, arguments.out / "report.html")
-    if result.refusal:  # the data do not support a result, and this is why
-        sys.exit(f"refused ({result.refusal.code}): {result.refusal.message}")
-    offset, sigma = result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m
-    assert offset is not None
-    assert sigma is not None
-
-    print(f"{result.used} of {result.poses} poses used")
-    for axis, value, s in zip("xyz", offset, sigma, strict=True):
-        print(f"offset {axis} {value * 1e3:9.3f} ± {s * 1e3:.3f} mm")
-    for warning in result.warnings:
-        print(f"warning: {warning.message}")
+    print(result)
+    if result.refusal:  # the data do not support a result: its numbers are None
+        sys.exit(3)
+    print("the offset in metres:", result.offset_sensor_pivot_m)
     print(f"written: {arguments.out / 'result.json'}, {arguments.out / 'report.html'}")
 
 
 if __name__ == "__main__":
     try:
         main()
-    except carm_kin.CarmKinError as error:
+    except (carm_kin.CarmKinError, OSError) as error:
         sys.exit(f"error: {error}")

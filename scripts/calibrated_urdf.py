@@ -29,7 +29,8 @@ def main() -> None:
 
     result = carm_kin.calibrate_chain(recording, arguments.urdf)
     if result.refusal:
-        sys.exit(f"refused ({result.refusal.code}): {result.refusal.message}")
+        print(result)
+        sys.exit(3)
     assert result.chain is not None
     carm_kin.export(result, "urdf", arguments.out / "calibrated.urdf", urdf=arguments.urdf)
 
@@ -48,5 +49,5 @@ def main() -> None:
 if __name__ == "__main__":
     try:
         main()
-    except carm_kin.CarmKinError as error:
+    except (carm_kin.CarmKinError, OSError) as error:
         sys.exit(f"error: {error}")

@@ -35,18 +35,12 @@ def main() -> None:
         server, ends = Address.parse(arguments.server, PORT), Ends(arguments.seconds)
     else:
         recording, _ = carm_kin.simulate("mobile_skewed", sigma_t_m=0.3e-3, sigma_r_rad=np.radians(0.1), seed=7)
+        path.unlink(missing_ok=True)  # what was played before; a capture writes over no file
         server, ends = played(recording), Ends(arguments.seconds, poses=len(recording))
 
     _, seen = run(Request(server, path, ends=ends), Console(stderr=True))
     print(f"{seen.poses} of {seen.frames} frames had a pose; written: {path}")
-    result = carm_kin.calibrate(carm_kin.read_recording(path))
-    if result.refusal:
-        sys.exit(f"refused ({result.refusal.code}): {result.refusal.message}")
-    offset, sigma = result.offset_sensor_pivot_m, result.sigma.offset_sensor_pivot_m
-    assert offset is not None
-    assert sigma is not None
-    for axis, value, s in zip("xyz", offset, sigma, strict=True):
-        print(f"offset {axis} {value * 1e3:9.3f} ± {s * 1e3:.3f} mm")
+    print(carm_kin.calibrate(carm_kin.read_recording(path)))
 
 
 def played(recording: carm_kin.Recording) -> Address:
@@ -62,5 +56,5 @@ def played(recording: carm_kin.Recording) -> Address:
 if __name__ == "__main__":
     try:
         main()
-    except carm_kin.CarmKinError as error:
+    except (carm_kin.CarmKinError, OSError) as error:
         sys.exit(f"error: {error}")
