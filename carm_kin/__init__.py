@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from carm_kin.machine.machine import Machine as Machine
     from carm_kin.machine.urdf import UrdfFile as UrdfFile
     from carm_kin.machine.urdf import read_urdf as read_urdf
-    from carm_kin.machine.urdf import write_urdf as write_urdf
     from carm_kin.recording.declarations import Declarations as Declarations
     from carm_kin.recording.formats import read_recording as read_recording
     from carm_kin.recording.formats import write_recording as write_recording
@@ -84,7 +83,6 @@ _HOME = {
     "write_recording": "carm_kin.recording.formats",
     "write_report": "carm_kin.report",
     "write_summary": "carm_kin.report",
-    "write_urdf": "carm_kin.machine.urdf",
 }
 """Name -> the module in which it lives."""
 

@@ -1,7 +1,9 @@
 """An empty matplotlib figure, which is asked for where it is missing."""
 
 import io
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from carm_kin.errors import MissingDependencyError
 
@@ -24,3 +26,10 @@ def figure(width: float, height: float) -> "Figure":
             return data.getvalue()
 
     return Shown(figsize=(width, height), layout="constrained")
+
+
+def in_space(axes: Any, title: str) -> None:
+    """Finish a view of space, in mm: the same scale along all three axes."""
+    axes.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm", title=title)
+    limits = [axes.get_xlim(), axes.get_ylim(), axes.get_zlim()]
+    axes.set_box_aspect(np.ptp(limits, axis=1), zoom=0.85)

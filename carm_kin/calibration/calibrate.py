@@ -13,6 +13,7 @@ from carm_kin.calibration.options import options_of
 from carm_kin.calibration.problem import to_problem
 from carm_kin.errors import InputError
 from carm_kin.recording.checks import REPEATED, repeated
+from carm_kin.recording.formats import RecordingLike, as_recording
 from carm_kin.recording.recording import Recording
 from carm_kin.recording.stations import refitted
 from carm_kin.results.parts import Outliers, Provenance, Rejection
@@ -32,7 +33,7 @@ MIN_PLACEMENT = 3
 
 
 def calibrate(
-    recording: Recording,
+    recording: RecordingLike,
     solver: str | None = None,
     *,
     locus: str = "circle",
@@ -44,7 +45,7 @@ def calibrate(
     command: str | None = None,
     **options: Any,
 ) -> CalibrationResult:
-    """Calibrate a recording.
+    """Calibrate a recording, or the one in a file.
 
     ``solver`` is one of `solvers.solver_names()`; by default ``kinematic``, or ``direct`` for a locus
     other than the circle of a C-arm. ``angular`` and ``orbital`` name the joints of the two axes.
@@ -53,6 +54,7 @@ def calibrate(
 
     Raises InputError for an unknown solver or option, and where the recording lacks what the solver needs.
     """
+    recording = as_recording(recording)
     name = solver or ("kinematic" if locus == "circle" else "direct")
     module = _module(name)
     if locus != "circle":
@@ -134,6 +136,8 @@ def _module(name: str) -> ModuleType:
     try:
         return solvers.solver(name)
     except KeyError:
+        if name == "chain":
+            raise InputError("the solver 'chain' needs a URDF: calibrate_chain(recording, urdf)") from None
         raise InputError(f"solver '{name}' is unknown; it is one of {', '.join(solvers.solver_names())}") from None
 
 

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carm_kin.canvas import figure
+from carm_kin.canvas import figure, in_space
 from solvers.se3 import Array, log_so3
 
 if TYPE_CHECKING:
@@ -31,11 +31,9 @@ def recording_figure(recording: "Recording") -> "Figure":
         colour = LOOSE if group < 0 and len(labels) > 1 else COLOURS[group % len(COLOURS)]
         space.plot(*(recording.p_world_sensor[poses] * 1e3).T, ".", color=colour, markersize=3, label=label)
         course.plot(time[poses], course_of[poses], ".", color=colour, markersize=3)
-    space.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm", title="Positions in the world of the tracker")
-    if len(recording):
-        space.set_aspect("equal")
+    in_space(space, "Positions in the world of the tracker")
     if 1 < len(labels) <= MOST_NAMED:
-        space.legend(loc="upper left", fontsize=7, frameon=False)
+        drawn.legend(*space.get_legend_handles_labels(), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     course.set(xlabel="number of the pose" if recording.time_s is None else "time, s", ylabel=what)
     course.set_title("Motion since the first pose")
     course.grid(color="#d0d7de", linewidth=0.5)

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carm_kin.canvas import figure
+from carm_kin.canvas import figure, in_space
 from carm_kin.errors import InputError
 from solvers.se3 import Array
 from solvers.torus import Torus
@@ -30,6 +30,7 @@ def result_figure(result: "CalibrationResult") -> "Figure":
         angles.plot(*np.degrees(result.angles_rad).T, ".", color=POSES, markersize=3)
         angles.set(xlabel="α, deg", ylabel="β, deg", title="Angles of the poses")
         angles.grid(color="#d0d7de", linewidth=0.5)
+    drawn.legend(*space.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=8, frameon=False)
     return drawn
 
 
@@ -60,9 +61,7 @@ def _machine(space: Any, torus: Torus, angles: Array) -> None:
         space.plot(*(at * 1e3).T, color=colour, label=name, linewidth=1.2)
     if len(angles):
         space.plot(*(_sensor(torus, angles) * 1e3).T, ".", color=POSES, markersize=2, label="fitted poses")
-    space.set(xlabel="x, mm", ylabel="y, mm", zlabel="z, mm", title="The C-arm in the frame of its torus")
-    space.set_aspect("equal")
-    space.legend(loc="upper left", fontsize=7, frameon=False)
+    in_space(space, "The C-arm in the frame of its torus")
 
 
 def _sensor(torus: Torus, angles: Array) -> Array:
