@@ -18,6 +18,22 @@ class InputError(CarmKinError):
         super().__init__(f"{', '.join(place)}: {problem}" if place else problem)
 
 
+def wrong_type(given: object, needed: str, hint: str = "") -> InputError:
+    """The error for an argument of another kind; ``needed`` is in words, such as ``a recording (its path)``."""
+    return InputError(f"{needed} is needed, not {_kind_of(given)}" + (f"; {hint}" if hint else ""))
+
+
+def _kind_of(given: object) -> str:
+    """``a list``, ``an array of shape (5, 4, 4)``, ``None``."""
+    if given is None or isinstance(given, (bool, int, float)):
+        return repr(given)
+    name = given.__name__ if isinstance(given, type) else type(given).__name__
+    if (shape := getattr(given, "shape", None)) is not None:
+        return f"an array of shape {tuple(shape)}"
+    kind = f"the class {name}" if isinstance(given, type) else name
+    return kind if kind.startswith("the ") else f"{'an' if name[0].lower() in 'aeiou' else 'a'} {kind}"
+
+
 class MissingDependencyError(CarmKinError):
     """A package that this platform or installation lacks is needed; the message says how to get it."""
 

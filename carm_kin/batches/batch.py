@@ -2,13 +2,14 @@
 
 import contextlib
 import json
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from carm_kin.batches.entries import Entry
+from carm_kin.batches.entries import Entry, entries
 from carm_kin.batches.job import Report, calibrate_file, key_of, versions
 from carm_kin.batches.journal import FAILED, FINAL, KILLED, OK, REFUSED, Journal, Line
 from carm_kin.batches.pool import Job, Outcome, WorkerKilledError, Workers, run
@@ -19,6 +20,41 @@ from carm_kin.files import write_atomically
 JOURNAL, SUMMARY = "state.jsonl", "summary"
 FOLDERS = {OK: "results", REFUSED: "refused"}
 """Where the result of each status goes, so that ``results`` has what can be used and nothing else."""
+
+
+def batch(
+    paths: str | os.PathLike | Sequence[str | os.PathLike],
+    out: str | os.PathLike,
+    *,
+    jobs: int | Workers = 1,
+    resume: bool = False,
+    told: Callable[[Line], None] = lambda line: None,
+    **settings: Any,
+) -> list[Line]:
+    """Calibrate many recordings into the folder ``out``, as docs/batch.md says; what became of each, sorted by label.
+
+    ``paths`` are files, folders, patterns or TOML lists. ``settings`` are those of `carm_kin.Settings` by name, such
+    as ``solver="direct"``. ``jobs`` is the number of worker processes, or the workers, such as
+    `carm_kin.batches.cluster.ClusterWorkers`. With ``resume`` a batch in the folder goes on. ``told`` hears of each
+    recording as it ends. The workers import the calling script: call this under ``if __name__ == "__main__":``.
+
+    Raises InputError for paths without a recording, wrong settings, and a folder that holds a batch or cannot be
+    written.
+    """
+    if isinstance(jobs, int):
+        if jobs < 1:
+            raise InputError(f"jobs must be at least 1, not {jobs}")
+        from carm_kin.batches.local_workers import LocalWorkers
+
+        jobs = LocalWorkers(jobs)
+    whole = batch_of(paths, settings, Path(out))
+    return whole.run(jobs, whole.begun(resume, "resume=True"), told)
+
+
+def batch_of(paths: str | os.PathLike | Sequence[str | os.PathLike], given: Mapping[str, Any], folder: Path) -> "Batch":
+    """The batch of these recordings, with the settings ``given`` by name. Raises InputError as `entries` does."""
+    every = [paths] if isinstance(paths, (str, os.PathLike)) else list(paths)
+    return Batch(tuple(entries([Path(path) for path in every], given, folder)), folder)
 
 
 @dataclass(frozen=True)
@@ -36,6 +72,13 @@ class Batch:
     def started(self) -> bool:
         """Whether the folder holds what an earlier batch has done."""
         return bool(self.journal.read())
+
+    def begun(self, resume: bool, how: str) -> dict[str, Line]:
+        """What is done already. Raises InputError as `done` does, and where that is something although the batch is not
+        to ``resume``; ``how`` says in what way it would be."""
+        if self.started() and not resume:
+            raise InputError(f"holds a batch; go on with it by {how}, or take another folder", file=self.folder)
+        return self.done()
 
     def done(self) -> dict[str, Line]:
         """The recordings by label that need not be done again: same input, settings and versions, result in place.

@@ -14,10 +14,10 @@ from carm_kin.calibration.calibrate import calibrate
 from carm_kin.calibration.cross_validate import torus_of
 from carm_kin.calibration.problem import to_problem
 from carm_kin.errors import InputError
-from carm_kin.recording.recording import Recording
+from carm_kin.recording.formats import RecordingLike, as_recording
 from carm_kin.results.check_result import Angle, Check, Length
 from carm_kin.results.provenance import provenance_of
-from carm_kin.results.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult, ResultLike, as_result
 from solvers.estimate import Covariance, Note
 from solvers.kinematic import fit_angles
 from solvers.likelihood.covariance import active_unknowns, marginal_covariance
@@ -37,8 +37,8 @@ UNSEEN_SLIP = (
 
 
 def check(
-    result: CalibrationResult,
-    recording: Recording,
+    result: ResultLike,
+    recording: RecordingLike,
     *,
     tolerance_m: float = 1e-3,
     tolerance_rad: float = float(np.radians(0.5)),
@@ -48,7 +48,7 @@ def check(
     sigma_r_rad: float | None = None,
     command: str | None = None,
 ) -> Check:
-    """Apply a saved calibration to a new recording of the same C-arm and sensor.
+    """Apply a saved calibration to a new recording of the same C-arm and sensor; both may be paths.
 
     The recording needs motion about both axes and enough poses: where three standard deviations of the offset's
     or the axis' change exceed the tolerance, it could not show what it is asked for and is refused. Labels are
@@ -60,6 +60,7 @@ def check(
     for name, value in (("tolerance_m", tolerance_m), ("tolerance_rad", tolerance_rad)):
         if not 0 < value < np.inf:
             raise InputError(f"{name} must be a finite number above 0, not {value}")
+    result, recording = as_result(result), as_recording(recording)
     saved = torus_of(result, tuple(placement.label for placement in result.placements))
     new = calibrate(
         recording,

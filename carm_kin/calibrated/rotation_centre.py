@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from carm_kin.calibration.cross_validate import torus_of
 from carm_kin.errors import InputError
 from carm_kin.recording.checks import floats, numeric, transforms
-from carm_kin.results.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult, ResultLike, as_result
 from solvers.kinematic import SIGMA_FLOOR
 from solvers.likelihood.covariance import reported_jacobian
 from solvers.likelihood.linearise import LOCAL, linearise
@@ -73,9 +73,9 @@ class Located:
         return self.T_world_carm[:, :3, 3]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, init=False)
 class RotationCentre:
-    """A calibration in use.
+    """A calibration, or the one in a file, in use.
 
     Raises InputError for a result that is refused or holds no complete chain, for a placement that it does not
     have or a missing one where it has several, and for a noise that is not above 0.
@@ -89,7 +89,17 @@ class RotationCentre:
     sigma_r_rad: float | None = None
     """Orientation noise an axis."""
 
-    def __post_init__(self) -> None:
+    def __init__(
+        self,
+        result: ResultLike,
+        placement: str | None = None,
+        sigma_t_m: float | None = None,
+        sigma_r_rad: float | None = None,
+    ) -> None:
+        object.__setattr__(self, "result", as_result(result))
+        object.__setattr__(self, "placement", placement)
+        object.__setattr__(self, "sigma_t_m", sigma_t_m)
+        object.__setattr__(self, "sigma_r_rad", sigma_r_rad)
         _ = self.torus, self.sigma
 
     @cached_property

@@ -14,10 +14,11 @@ from carm_kin.calibrated.check import taken_as_exact
 from carm_kin.calibrated.rotation_centre import chain_at, noise_of
 from carm_kin.errors import InputError
 from carm_kin.recording.checks import REPEATED, repeated
+from carm_kin.recording.formats import RecordingLike, as_recording
 from carm_kin.recording.recording import Recording
 from carm_kin.results.parts import NoiseLevel, Outliers, Rejection
 from carm_kin.results.provenance import provenance_of
-from carm_kin.results.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult, ResultLike, as_result
 from carm_kin.results.virtual_centre_result import CentreSigma, Spread, VirtualCentre
 from solvers.estimate import Covariance, Note
 from solvers.problem import Problem
@@ -38,8 +39,8 @@ BASE_TURNED_RAD = float(np.radians(0.5))
 
 
 def virtual_centre(
-    result: CalibrationResult,
-    scan: Recording,
+    result: ResultLike,
+    scan: RecordingLike,
     *,
     placement: str | None = None,
     tolerance_m: float = 1e-3,
@@ -47,7 +48,7 @@ def virtual_centre(
     sigma_r_rad: float | None = None,
     command: str | None = None,
 ) -> VirtualCentre:
-    """The virtual centre of one orbital scan, alpha held, of a calibrated C-arm.
+    """The virtual centre of one orbital scan, alpha held, of a calibrated C-arm; both may be paths.
 
     A centre counts as fixed if the noise explains its spread, or if what the noise leaves is within ``tolerance_m``.
     ``placement`` names the calibrated place of the base, by default that of the scan's own label. The base may have
@@ -59,6 +60,7 @@ def virtual_centre(
     """
     if not 0 < tolerance_m < np.inf:
         raise InputError(f"tolerance_m must be a finite number above 0, not {tolerance_m}")
+    result, scan = as_result(result), as_recording(scan)
     T = scan.T_world_sensor
     if len(scan.placements) > 1:
         raise InputError(f"a scan is made at one placement of the base, not at {', '.join(scan.placements)}")

@@ -8,9 +8,9 @@ and in its last column the principal point: the pixel in which the normal from t
 docs/conventions.md states the signs and the pixel's origin.
 """
 
+import os
 from dataclasses import dataclass
 from functools import reduce
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,9 +18,9 @@ from numpy.typing import ArrayLike
 from carm_kin.calibration.cross_validate import torus_of
 from carm_kin.errors import InputError
 from carm_kin.machine.chain import chain_of, nominal_geometry
-from carm_kin.machine.urdf import UrdfFile, read_urdf
+from carm_kin.machine.urdf import UrdfFile, as_urdf
 from carm_kin.recording.checks import transforms
-from carm_kin.results.result import CalibrationResult
+from carm_kin.results.result import ResultLike, as_result
 from solvers.se3 import Array, inverse
 from solvers.torus import SENSE_RADIUS_M, Torus
 
@@ -70,7 +70,7 @@ class Xray:
 
     @staticmethod
     def of_urdf(
-        urdf: str | Path | UrdfFile,
+        urdf: UrdfFile | str | os.PathLike,
         detector: Detector,
         *,
         source_link: str = "source",
@@ -84,7 +84,7 @@ class Xray:
         A machine with several planes has a source and a detector link for each. Raises InputError for a broken
         file, an unknown link, and where a moving joint lies between one of the links and the sensor.
         """
-        file = urdf if isinstance(urdf, UrdfFile) else read_urdf(urdf)
+        file = as_urdf(urdf)
         chain = chain_of(file, sensor_link, angular, orbital)
         geometry = nominal_geometry(chain)
         T_carm_sensor = inverse(geometry.T_sensor_carm)
@@ -119,17 +119,18 @@ class Xray:
         E[2] *= -np.sign(self.source_detector_m[2])
         return self.K @ E @ np.concatenate([np.eye(3), -self.T_carm_source[:3, 3:]], axis=1)
 
-    def P_image_sensor(self, result: CalibrationResult) -> Array:
-        """(3, 4) from the sensor's frame, m, to pixels: the same at every pose.
+    def P_image_sensor(self, result: ResultLike) -> Array:
+        """(3, 4) from the sensor's frame, m, to pixels: the same at every pose; ``result`` may be a path.
 
         Raises InputError where the calibration holds no complete chain or does not tell where beta is zero and which
         way it counts, so that it does not fix the C-arm frame in which the URDF has source and detector.
         """
+        result = as_result(result)
         torus = torus_of(result, tuple(placement.label for placement in result.placements))
         self._check_frame(torus)
         return self.P_image_carm @ inverse(torus.T_sensor_carm)
 
-    def P_image_world(self, result: CalibrationResult, T_world_sensor: ArrayLike) -> Array:
+    def P_image_world(self, result: ResultLike, T_world_sensor: ArrayLike) -> Array:
         """(N, 3, 4) from the world, m, to pixels, for poses (N, 4, 4), m.
 
         Raises InputError as `P_image_sensor` does, and for poses that are no rigid motions.

@@ -14,6 +14,7 @@ from carm_kin.calibration.problem import to_problem
 from carm_kin.calibration.settings import CIRCLE, options_class, solver_for
 from carm_kin.errors import InputError
 from carm_kin.recording.checks import REPEATED, repeated
+from carm_kin.recording.formats import RecordingLike, as_recording
 from carm_kin.recording.recording import Recording
 from carm_kin.recording.stations import refitted
 from carm_kin.results.parts import Outliers, Provenance, Rejection
@@ -33,7 +34,7 @@ MIN_PLACEMENT = 3
 
 
 def calibrate(
-    recording: Recording,
+    recording: RecordingLike,
     solver: str | None = None,
     *,
     locus: str = "circle",
@@ -45,7 +46,7 @@ def calibrate(
     command: str | None = None,
     **options: Any,
 ) -> CalibrationResult:
-    """Calibrate a recording.
+    """Calibrate a recording, or the one in a file.
 
     ``solver`` is one of `solvers.solver_names()`; by default ``kinematic``, or ``direct`` for a locus
     other than the circle of a C-arm. ``angular`` and ``orbital`` name the joints of the two axes.
@@ -54,6 +55,7 @@ def calibrate(
 
     Raises InputError for an unknown solver or option, and where the recording lacks what the solver needs.
     """
+    recording = as_recording(recording)
     name = solver_for(solver, locus)
     if locus != CIRCLE:
         options["locus"] = locus

@@ -13,6 +13,7 @@ import numpy as np
 from carm_kin.calibration.calibrate import calibrate
 from carm_kin.calibration.problem import to_problem
 from carm_kin.errors import InputError, RefusedError
+from carm_kin.recording.formats import RecordingLike, as_recording
 from carm_kin.recording.recording import Recording
 from carm_kin.results.held_out import CrossValidation, Errors, HeldOut, overall_of, row_of
 from carm_kin.results.result import CalibrationResult
@@ -27,7 +28,7 @@ LEAST_SPREAD_RAD = float(np.radians(1.0))
 
 
 def cross_validate(
-    recording: Recording,
+    recording: RecordingLike,
     folds: int = 5,
     solver: str | None = None,
     *,
@@ -36,7 +37,7 @@ def cross_validate(
     counted: np.ndarray | None = None,
     **options: Any,
 ) -> CrossValidation:
-    """Predict every part of the recording with the fit to the other parts.
+    """Predict every part of the recording, which may be a path, with the fit to the other parts.
 
     ``folds`` is their number; ``solver`` and ``options`` are those of `carm_kin.calibrate`. The poses of the mask
     ``counted`` (N,) are scored, by default those that the fit to the whole recording does not reject. A fold without
@@ -45,6 +46,7 @@ def cross_validate(
     Raises InputError for a number of folds that the recording does not allow and a solver that gives no
     complete chain, RefusedError where the whole recording is refused.
     """
+    recording = as_recording(recording)
     number = fold_of_poses(recording, folds)
     whole = calibrate(recording, solver, angular=angular, orbital=orbital, **options)
     if whole.refusal:

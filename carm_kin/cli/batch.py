@@ -40,17 +40,13 @@ def batch(
 
     Status 0: all have a result; 3: some have none.
     """
-    from carm_kin.batches.batch import SUMMARY, Batch
-    from carm_kin.batches.entries import entries
+    from carm_kin.batches.batch import SUMMARY, batch_of
     from carm_kin.cli.progress import progress
 
     if report:
         writable(report)
-    console, whole = Stderr(), Batch(tuple(entries(paths, given, out)), out)
-    if whole.started() and not resume:
-        raise InputError("holds a batch; go on with it by --resume, or take another folder", file=out)
-    workers = workers_of(jobs, cluster)
-    done = whole.done()
+    console, whole = Stderr(), batch_of(paths, given, out)
+    done, workers = whole.begun(resume, "--resume"), workers_of(jobs, cluster)
     if done:
         console.print(f"{len(done)} of {len(whole.entries)} recordings are done already")
     try:

@@ -7,7 +7,6 @@ import typer
 
 from carm_kin.cli.arguments import writable
 from carm_kin.cli.terminal import Stderr
-from carm_kin.results.result import CalibrationResult
 
 
 def export(
@@ -23,10 +22,18 @@ def export(
     urdf: Annotated[Path | None, typer.Option(help="The URDF that was calibrated, to urdf only.")] = None,
 ) -> None:
     """Write a calibration for another program; a refused one is not exported (status 3)."""
-    from carm_kin.exports import Wanted, export_result
+    from carm_kin import exports
 
-    wanted = Wanted(transform, placement, parent_frame, child_frame, urdf)
-    export_result(CalibrationResult.from_json(result), to, writable(out), wanted)
+    exports.export(
+        result,
+        to,
+        writable(out),
+        transform=transform,
+        placement=placement,
+        parent_frame=parent_frame,
+        child_frame=child_frame,
+        urdf=urdf,
+    )
     Stderr().print(f"written to {out}", soft_wrap=True)
 
 

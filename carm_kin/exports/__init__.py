@@ -14,9 +14,10 @@ from pathlib import Path
 
 from carm_kin.errors import InputError, RefusedError
 from carm_kin.exports._wanted import SENSOR_CARM, TRANSFORMS, WORLD_TORUS, Wanted
-from carm_kin.results.result import CalibrationResult
+from carm_kin.machine.urdf import UrdfFile
+from carm_kin.results.result import CalibrationResult, ResultLike, as_result
 
-__all__ = ["SENSOR_CARM", "TRANSFORMS", "WORLD_TORUS", "Export", "Wanted", "export_result", "exports"]
+__all__ = ["SENSOR_CARM", "TRANSFORMS", "WORLD_TORUS", "Export", "Wanted", "export", "exports"]
 
 
 @dataclass(frozen=True)
@@ -41,14 +42,23 @@ def exports() -> dict[str, Export]:
     return found
 
 
-def export_result(
-    result: CalibrationResult, to: str, out: str | os.PathLike, wanted: Wanted = Wanted()
+def export(
+    result: ResultLike,
+    to: str,
+    out: str | os.PathLike,
+    *,
+    transform: str = SENSOR_CARM,
+    placement: str | None = None,
+    parent_frame: str | None = None,
+    child_frame: str | None = None,
+    urdf: UrdfFile | str | os.PathLike | None = None,
 ) -> CalibrationResult:
-    """Write a calibration for another program, and give it back; ``to`` is one of `exports`.
+    """Write a calibration, or the one in a file, for another program, and give it back; ``to`` is one of `exports`.
 
-    Raises RefusedError for a refused calibration; InputError for an unknown name, for a field of ``wanted`` that
-    this export has no use for, for what the result does not hold, and where the place cannot be written.
+    The rest is what `Wanted` says. Raises RefusedError for a refused calibration; InputError for an unknown name, for
+    something that this export has no use for, for what the result does not hold, and where the place cannot be written.
     """
+    result, wanted = as_result(result), Wanted(transform, placement, parent_frame, child_frame, urdf)
     known = exports()
     if to not in known:
         raise InputError(f"no export '{to}'; choose from {', '.join(known)}")

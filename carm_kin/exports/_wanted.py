@@ -1,13 +1,14 @@
 """What is to be exported: which transform, between frames of which names, and the facts that go with it."""
 
+import os
 import re
 from dataclasses import dataclass, replace
 from math import degrees
-from pathlib import Path
 
 import numpy as np
 
 from carm_kin.errors import InputError
+from carm_kin.machine.urdf import UrdfFile
 from carm_kin.results.parts import Placement, PlacementSigma
 from carm_kin.results.result import CalibrationResult
 from solvers.se3 import Array, transform
@@ -30,7 +31,7 @@ class Wanted:
     parent_frame: str | None = None
     child_frame: str | None = None
     """Names of the two frames in the other program; None: those of the transform."""
-    urdf: Path | None = None
+    urdf: UrdfFile | str | os.PathLike | None = None
     """The URDF that was calibrated, for an export that writes it."""
 
 

@@ -5,6 +5,7 @@ origins. Any other one gives a small URDF of the two axes: torus, angular joint,
 C-arm.
 """
 
+import os
 from dataclasses import replace
 from math import degrees
 from pathlib import Path
@@ -12,7 +13,7 @@ from pathlib import Path
 from carm_kin.calibration.chain.calibrated_urdf import calibrated_urdf
 from carm_kin.errors import InputError
 from carm_kin.exports._wanted import Wanted, facts, facts_of_origin, in_xml_comment, subject_of
-from carm_kin.machine.urdf import UrdfFile, add_comment, parse_urdf, patch_origins, read_urdf, write_urdf
+from carm_kin.machine.urdf import UrdfFile, add_comment, as_urdf, parse_urdf, patch_origins, write_urdf
 from carm_kin.results.chain_result import ChainCalibration, JointChange
 from carm_kin.results.result import CalibrationResult
 from solvers.se3 import inverse, rot_z, transform
@@ -54,12 +55,12 @@ def write(result: CalibrationResult, out: Path, wanted: Wanted) -> None:
     write_urdf(add_comment(file, [in_xml_comment(line) for line in lines]), out)
 
 
-def _chain(result: CalibrationResult, path: Path | None) -> tuple[UrdfFile, list[str]]:
+def _chain(result: CalibrationResult, urdf: UrdfFile | str | os.PathLike | None) -> tuple[UrdfFile, list[str]]:
     chain = result.chain
     assert chain is not None
-    if path is None:
+    if urdf is None:
         raise InputError(f"the chain of {chain.urdf} was calibrated: give that file by --urdf")
-    return calibrated_urdf(read_urdf(path), chain), _chain_facts(result, chain)
+    return calibrated_urdf(as_urdf(urdf), chain), _chain_facts(result, chain)
 
 
 def _chain_facts(result: CalibrationResult, chain: ChainCalibration) -> list[str]:

@@ -62,7 +62,10 @@ class Chain:
 
     def configurations(self, q: ArrayLike) -> Array:
         """q (..., J) as an array. Raises `InputError` for a wrong number of joint values."""
-        q = np.array(q, dtype=float, ndmin=1)
+        try:
+            q = np.array(q, dtype=float, ndmin=1)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"the joint values are no array of numbers: {error}") from None
         if q.shape[-1] != len(self.names):
             problem = f"{q.shape[-1]} joint values for {len(self.names)} joints"
             raise InputError(f"{problem}; the order is {listing(self.names, MAX_JOINTS)}")

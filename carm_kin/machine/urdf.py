@@ -4,6 +4,7 @@ Every file takes the strict pass of `carm_kin.machine.urdf_check` before anythin
 angles rad. A patch changes the numbers of one ``<origin>`` and leaves every other byte as it was.
 """
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ import lxml.etree as etree
 import numpy as np
 from numpy.typing import ArrayLike
 
-from carm_kin.errors import InputError
+from carm_kin.errors import InputError, wrong_type
 from carm_kin.machine.urdf_check import JOINT_TYPES, Joint, UrdfFile, check_urdf, listing
 from solvers.se3 import Array
 
@@ -25,6 +26,7 @@ __all__ = [
     "UrdfFile",
     "add_comment",
     "add_fixed_link",
+    "as_urdf",
     "bundled_urdfs",
     "find_urdf",
     "kinematic_text",
@@ -49,7 +51,7 @@ def bundled_urdfs() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.urdf"))}
 
 
-def find_urdf(name_or_path: str | Path) -> Path:
+def find_urdf(name_or_path: str | os.PathLike) -> Path:
     """The path of a bundled machine by its name, or the path itself where a file is, else `InputError`."""
     path, bundled = Path(name_or_path), bundled_urdfs()
     if str(name_or_path) in bundled and not path.is_file():
@@ -59,8 +61,15 @@ def find_urdf(name_or_path: str | Path) -> Path:
     return path
 
 
-def read_urdf(name_or_path: str | Path) -> UrdfFile:
+def as_urdf(urdf: UrdfFile | str | os.PathLike) -> UrdfFile:
+    """A checked URDF as it is; a path or a bundled name read. Raises InputError for anything else."""
+    return urdf if isinstance(urdf, UrdfFile) else read_urdf(urdf)
+
+
+def read_urdf(name_or_path: str | os.PathLike) -> UrdfFile:
     """Read and check a URDF, given by its path or bundled name. Raises `InputError` with the line."""
+    if not isinstance(name_or_path, (str, os.PathLike)):
+        raise wrong_type(name_or_path, "a URDF (its path, or the name of a bundled machine)")
     path = find_urdf(name_or_path)
     if path.is_dir():
         raise InputError("is a folder; give a URDF file", file=path)

@@ -1,9 +1,10 @@
 """A recording: the poses of the tracked sensor, and what is known of the joints while they were taken."""
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -21,10 +22,16 @@ from carm_kin.recording.checks import (
     repeated,
     rotations,
     text,
+    transforms,
 )
+from carm_kin.recording.figure import recording_figure
 from carm_kin.recording.intake import Intake
 from solvers.estimate import Note
 from solvers.se3 import Array, transform
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from numpy.typing import ArrayLike
 
 __all__ = [
     "LABEL_TOLERANCE_M",
@@ -130,8 +137,44 @@ class Recording:
         self._check_numbers()
         self._check_sweeps()
 
+    @staticmethod
+    def from_poses(
+        T_world_sensor: "ArrayLike",
+        *,
+        time_s: "ArrayLike | None" = None,
+        sweep: Sequence[object] | np.ndarray | None = None,
+        moving: Sequence[str] | np.ndarray | None = None,
+        placement: Sequence[object] | np.ndarray | None = None,
+        joints: Mapping[str, "ArrayLike"] | None = None,
+        prismatic: Iterable[str] = (),
+    ) -> "Recording":
+        """A recording of poses (N, 4, 4), m, of the sensor in the tracker's frame; the rest is as in the class.
+
+        Raises InputError for poses that are no rigid motions, and as the class does.
+        """
+        T = transforms("T_world_sensor", T_world_sensor)
+        known = {"time_s": time_s, "sweep": sweep, "moving": moving, "placement": placement, "joints": joints or {}}
+        return Recording(T[:, :3, 3], T[:, :3, :3], prismatic=frozenset(prismatic), **known)  # pyright: ignore
+
     def __len__(self) -> int:
         return len(self.p_world_sensor)
+
+    def __repr__(self) -> str:
+        """One line."""
+        what = "poses" if self.R_world_sensor is not None else "positions"
+        parts = [f"Recording of {len(self)} {what}"]
+        parts += [f"{len(self.sweeps)} sweeps"] if self.sweeps else []
+        parts += [f"{len(self.placements)} placements"] if len(self.placements) > 1 else []
+        parts += [f"joints {', '.join(self.joints)}"] if self.joints else []
+        parts += [f"from {self.source.path}"] if self.source else []
+        return "; ".join(parts)
+
+    def figure(self) -> "Figure":
+        """The positions in space by sweep, and the turn since the first pose over time.
+
+        Raises MissingDependencyError without matplotlib.
+        """
+        return recording_figure(self)
 
     def select(self, index: np.ndarray | slice) -> "Recording":
         """The recording of some of the poses, by index, mask or slice.

@@ -10,7 +10,7 @@ from carm_kin.report.colours import SERIES, TRIAD
 from carm_kin.report.marks import Axis, Chart, Line, Mark, Panel, Points
 from carm_kin.report.poses import short
 from carm_kin.report.words import number, with_sigma
-from carm_kin.results.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult, ResultLike, as_result
 from solvers.se3 import Array
 
 HEAD = (
@@ -57,9 +57,10 @@ class Comparison:
     charts: tuple[Chart, ...]
 
 
-def comparison_of(results: Mapping[str, CalibrationResult], truth: CalibrationResult | None = None) -> Comparison:
+def comparison_of(compared: Mapping[str, ResultLike], truth: ResultLike | None = None) -> Comparison:
     """Results by name, against the truth, or against their median where none is known."""
-    reference = _reference(results, truth)
+    results = {name: as_result(result) for name, result in compared.items()}
+    reference = _reference(results, None if truth is None else as_result(truth))
     lines = tuple(_line(name, result, reference) for name, result in results.items())
     against = "the truth" if truth else "the median of the offsets here"
     remark = f"The last column is the distance of the offset from {against}. ± is one standard deviation."

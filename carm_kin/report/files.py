@@ -1,35 +1,37 @@
 """Static figures for papers."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from carm_kin.errors import InputError
-from carm_kin.recording.recording import Recording
+from carm_kin.recording.formats import RecordingLike, as_recordings
 from carm_kin.report.charts import charts
 from carm_kin.report.comparison import comparison_of
 from carm_kin.report.marks import Figure
 from carm_kin.report.matplotlib_figures import ENDINGS, draw, needs_matplotlib
-from carm_kin.report.poses import Joints, poses_of
+from carm_kin.report.poses import Joints, poses_of, together
 from carm_kin.report.scene import scene
-from carm_kin.results.result import CalibrationResult
+from carm_kin.results.result import ResultLike, as_result
 
 
 def write_figures(
-    result: CalibrationResult,
-    recording: Recording,
+    result: ResultLike,
+    recording: RecordingLike | Sequence[RecordingLike],
     folder: str | os.PathLike,
     *,
     joints: Joints = Joints(),
-    compared: Mapping[str, CalibrationResult] | None = None,
-    truth: CalibrationResult | None = None,
+    compared: Mapping[str, ResultLike] | None = None,
+    truth: ResultLike | None = None,
 ) -> tuple[Path, ...]:
     """Write each figure of the report as SVG and as PNG, and give back the files.
 
-    Raises MissingDependencyError without matplotlib, InputError where the folder cannot be made or written to.
+    The arguments are those of `write_report`. Raises MissingDependencyError without matplotlib, InputError for another
+    recording, and where the folder cannot be made or written to.
     """
     needs_matplotlib()
-    poses = poses_of(result, recording, joints)
+    result = as_result(result)
+    poses = poses_of(result, together(as_recordings(recording)), joints)
     figures: list[Figure] = [scene(result, poses), *charts(result, poses)]
     figures += comparison_of(compared, truth).charts if compared else ()
     folder = Path(folder)

@@ -78,12 +78,27 @@ class Poses:
 
 
 def poses_of(result: CalibrationResult, recording: Recording, joints: Joints = Joints()) -> Poses:
-    """Look at every pose of ``recording`` with the eyes of ``result``, which was made from it."""
+    """Look at every pose of ``recording`` with the eyes of ``result``, which was made from it.
+
+    Raises InputError where it was not.
+    """
+    _check_same(result, recording)
     used = ~np.isin(recording.pose_number, result.outliers.indices)
     fit, why = _fit(result, recording, joints, used)
     colour, groups = _groups(recording, joints)
     shown, sampled = (_some(used, fit, most) for most in (MOST_SHOWN, MOST_SAMPLED))
     return Poses(recording, used, colour, groups, _words(recording, fit), shown, sampled, fit, why)
+
+
+def _check_same(result: CalibrationResult, recording: Recording) -> None:
+    """Raise InputError where the numbers of poses or the digests of the files say that there are two recordings."""
+    made, source = result.provenance, recording.source
+    right = f"give the one that the result was made from{f', {made.input_name}' if made.input_name else ''}"
+    if result.poses != len(recording):
+        words = f"the result is of another recording: it was made from {result.poses} poses, this has {len(recording)}"
+        raise InputError(f"{words}; {right}", file=source.path if source else None)
+    if source and made.input_sha256 and made.input_sha256 != source.sha256:
+        raise InputError(f"the result is of another recording: the files' SHA-256 differ; {right}", file=source.path)
 
 
 def together(recordings: Sequence[Recording]) -> Recording:

@@ -1,48 +1,49 @@
 """The page of one calibration."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from math import degrees
 from pathlib import Path
 
 import numpy as np
 
-import carm_kin
-from carm_kin.recording.recording import Recording
+from carm_kin.recording.formats import RecordingLike, as_recordings
 from carm_kin.report import words
 from carm_kin.report.charts import charts
 from carm_kin.report.comparison import comparison_of
 from carm_kin.report.page import write_page
-from carm_kin.report.poses import Joints, poses_of
+from carm_kin.report.poses import Joints, poses_of, together
 from carm_kin.report.scene import scene
 from carm_kin.results.chain_result import ChainCalibration
 from carm_kin.results.held_out import HeldOut
-from carm_kin.results.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult, ResultLike, as_result
+from carm_kin.version import __version__
 
 MOST_LISTED = 60
 """Numbers of poses that are written out."""
 
 
 def write_report(
-    result: CalibrationResult,
-    recording: Recording,
+    result: ResultLike,
+    recording: RecordingLike | Sequence[RecordingLike],
     out: str | os.PathLike,
     *,
     joints: Joints = Joints(),
-    compared: Mapping[str, CalibrationResult] | None = None,
-    truth: CalibrationResult | None = None,
+    compared: Mapping[str, ResultLike] | None = None,
+    truth: ResultLike | None = None,
 ) -> None:
-    """Write the page of a result and the recording that it was made from.
+    """Write the page of a result and the recording, or several of a chain, that it was made from; all may be paths.
 
     ``compared`` are other results of the same recording by their names, ``truth`` is what they should be. Raises
-    InputError where the place cannot be written.
+    InputError for another recording, and where the place cannot be written.
     """
-    poses = poses_of(result, recording, joints)
+    result = as_result(result)
+    poses = poses_of(result, together(as_recordings(recording)), joints)
     write_page(
         "report.html",
         Path(out),
         title=f"C-arm calibration: {result.provenance.input_name or result.status}",
-        version=carm_kin.__version__,
+        version=__version__,
         subject=result.provenance.input_name,
         result=result,
         verdict=words.verdict(result),

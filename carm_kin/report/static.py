@@ -4,25 +4,17 @@ import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from carm_kin.errors import InputError, MissingDependencyError
+from carm_kin.canvas import figure
+from carm_kin.errors import InputError
 from carm_kin.files import write_atomically
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+__all__ = ["COLOURS", "FORMATS", "check_figure", "figure", "save"]
+
 COLOURS = ("#0b6e4f", "#1f6feb", "#c2410c", "#6b7280", "#9333ea", "#b45309", "#0e7490", "#be185d")
 FORMATS = ("svg", "png", "pdf")
-
-
-def figure(width: float, height: float) -> "Figure":
-    """An empty figure, inches. Raises MissingDependencyError without matplotlib."""
-    try:
-        import matplotlib  # noqa: F401
-        from matplotlib.figure import Figure
-    except ImportError:
-        words = "a figure needs the package 'matplotlib': pip install 'carm-kin[figures]'"
-        raise MissingDependencyError(words) from None
-    return Figure(figsize=(width, height), layout="constrained")
 
 
 def check_figure(path: Path) -> Path:

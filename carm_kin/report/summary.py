@@ -9,14 +9,14 @@ from urllib.parse import quote
 
 import numpy as np
 
-import carm_kin
 from carm_kin.report.colours import SERIES
 from carm_kin.report.comparison import MOST_LETTERS, MOST_NAMES, offsets_chart
 from carm_kin.report.marks import Axis, Chart, Panel, Points
 from carm_kin.report.page import write_page
 from carm_kin.report.poses import short
 from carm_kin.report.words import number, with_sigma
-from carm_kin.results.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult, ResultLike, as_result
+from carm_kin.version import __version__
 
 HEAD = (
     "recording",
@@ -43,26 +43,27 @@ class _Line:
 
 
 def write_summary(
-    results: Mapping[str, CalibrationResult],
+    results: Mapping[str, ResultLike],
     out: str | os.PathLike,
     *,
     title: str = "Calibrations",
     links: Mapping[str, str] | None = None,
 ) -> None:
-    """Write the page of results by the names of their recordings.
+    """Write the page of results, or of those in files, by the names of their recordings.
 
     ``links`` gives the names of files beside the page, such as the report of each recording. Raises InputError
     where the place cannot be written.
     """
-    drawn = dict(list(results.items())[:: max(1, -(-len(results) // MOST_DRAWN))])
-    lines = [_line(name, result, (links or {}).get(name, "")) for name, result in results.items()]
+    known = {name: as_result(result) for name, result in results.items()}
+    drawn = dict(list(known.items())[:: max(1, -(-len(known) // MOST_DRAWN))])
+    lines = [_line(name, result, (links or {}).get(name, "")) for name, result in known.items()]
     write_page(
         "summary.html",
         Path(out),
         title=title,
-        version=carm_kin.__version__,
-        count=len(results),
-        refused=sum(result.refusal is not None for result in results.values()),
+        version=__version__,
+        count=len(known),
+        refused=sum(result.refusal is not None for result in known.values()),
         charts=_charts(drawn),
         drawn=len(drawn),
         head=HEAD,

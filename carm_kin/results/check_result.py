@@ -2,10 +2,12 @@
 
 import os
 from dataclasses import dataclass
+from math import degrees
 from typing import Any
 
 from carm_kin.results.parts import Provenance
 from carm_kin.results.result_json import json_text, object_of
+from carm_kin.results.summary import check_lines, printable, text_of
 from solvers.estimate import Note
 
 SCHEMA = "carm-kin/check/1"
@@ -21,6 +23,11 @@ class Length:
     limit_m: float
     within: bool
 
+    @property
+    def shown(self) -> tuple[float, float, str]:
+        """Difference, limit and their unit, for a person."""
+        return self.difference_m * 1e3, self.limit_m * 1e3, "mm"
+
 
 @dataclass(frozen=True)
 class Angle:
@@ -31,6 +38,11 @@ class Angle:
     """One standard deviation of the difference."""
     limit_rad: float
     within: bool
+
+    @property
+    def shown(self) -> tuple[float, float, str]:
+        """Difference, limit and their unit, for a person."""
+        return degrees(self.difference_rad), degrees(self.limit_rad), "deg"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,6 +75,18 @@ class Check:
     unseen: tuple[str, ...] = ()
     """Changes that this recording cannot show, in words."""
     refusal: Note | None = None
+
+    def __str__(self) -> str:
+        """What `carm-kin check` prints."""
+        verdicts = {"passed": "passed: the saved calibration holds", "failed": f"failed: {'; '.join(self.failures)}"}
+        last = () if self.refusal else (verdicts[self.status],)
+        return "\n".join((text_of(check_lines(self), self.refusal), *map(printable, last)))
+
+    def __repr__(self) -> str:
+        """One line."""
+        why = f" ({self.refusal.code})" if self.refusal else ""
+        offset = f", offset differs by {self.offset.difference_m * 1e3:.3f} mm" if self.offset else ""
+        return f"Check {self.status}{why}: {self.used} of {self.poses} poses{offset}"
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the JSON file: mm and degrees, units in the names."""

@@ -4,13 +4,15 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from carm_kin.errors import InputError
+from carm_kin.errors import InputError, wrong_type
 from carm_kin.results.chain_result import ChainCalibration
+from carm_kin.results.figure import result_figure
 from carm_kin.results.held_out import CrossValidation
+from carm_kin.results.html import html_table
 from carm_kin.results.parts import (
     NoiseLevel,
     Observability,
@@ -28,9 +30,13 @@ from carm_kin.results.result_json import (
     read_object,
     to_json_value,
 )
+from carm_kin.results.summary import in_mm, result_lines, result_rows, text_of
 from solvers.estimate import Covariance, Note
 from solvers.likelihood.covariance import interval_of_magnitude
 from solvers.se3 import Array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = "carm-kin/result/1"
 NOT_IN_FILE = ("angles_rad",)
@@ -86,6 +92,31 @@ class CalibrationResult:
     chain: ChainCalibration | None = None
     """None but where a URDF's chain was calibrated."""
 
+    def __str__(self) -> str:
+        """What `carm-kin calibrate` prints."""
+        return text_of(result_lines(self), self.refusal)
+
+    def __repr__(self) -> str:
+        """One line."""
+        why = f" ({self.refusal.code})" if self.refusal else ""
+        t = self.offset_sensor_pivot_m
+        offset = "" if t is None else f", offset {in_mm(t, self.sigma.offset_sensor_pivot_m)}"
+        used = f"{self.used} of {self.poses} poses"
+        return f"CalibrationResult {self.status}{why}: solver {self.solver}, {used}{offset}"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        head = f"{self.status}: solver {self.solver}, {self.used} of {self.poses} poses"
+        return html_table(head, () if self.refusal else result_rows(self), self.warnings, self.refusal)
+
+    def figure(self) -> "Figure":
+        """The calibrated C-arm in the frame of its torus, with the fitted poses, and the angles that they cover.
+
+        The poses are there as long as the result was not read from a file. Raises InputError where the result is
+        refused or holds no complete chain, MissingDependencyError without matplotlib.
+        """
+        return result_figure(self)
+
     @property
     def major_radius_interval_95_m(self) -> tuple[float, float] | None:
         """The 95% interval of |R|; it begins at 0, one-sided, where R is not told from 0. None without a sigma."""
@@ -134,6 +165,22 @@ class CalibrationResult:
         except InputError as error:
             raise InputError(str(error), file=path) from None
         return result
+
+
+ResultLike = CalibrationResult | str | os.PathLike
+"""A calibration, or the path of its JSON file."""
+
+
+def as_result(result: ResultLike) -> CalibrationResult:
+    """A calibration as it is, or the one in a file. Raises InputError as `read_result`."""
+    return result if isinstance(result, CalibrationResult) else read_result(result)
+
+
+def read_result(path: str | os.PathLike) -> CalibrationResult:
+    """The calibration in a file that `CalibrationResult.to_json` wrote. Raises InputError for anything else."""
+    if not isinstance(path, (str, os.PathLike)):
+        raise wrong_type(path, "a calibration (a CalibrationResult, or the path of its JSON file)")
+    return CalibrationResult.from_json(path)
 
 
 def _interval(magnitude: float | None, sigma: float | None) -> tuple[float, float] | None:

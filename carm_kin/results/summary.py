@@ -1,39 +1,122 @@
-"""A result in words, for the terminal: one fact a line, each within 80 columns."""
+"""A result in words, for the terminal, for `print` and for a notebook: one fact a line, each within 80 columns."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from rich.console import Console
 
 from carm_kin.recording.intake import Intake
 from carm_kin.results.chain_result import ChainCalibration
-from carm_kin.results.check_result import Angle, Check, Length
 from carm_kin.results.held_out import HeldOut
-from carm_kin.results.result import CalibrationResult
-from carm_kin.results.virtual_centre_result import VirtualCentre
 from solvers.estimate import Note
 from solvers.se3 import Array
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from carm_kin.results.check_result import Angle, Check, Length
+    from carm_kin.results.result import CalibrationResult
+    from carm_kin.results.virtual_centre_result import VirtualCentre
 
 _NAME_WIDTH = 34
 
 
-def show(result: CalibrationResult, console: Console) -> None:
+class Row(NamedTuple):
+    """A number with its name, as words; a row without a value is a line of text."""
+
+    name: str
+    value: str = ""
+    sigma: str = ""
+    unit: str = ""
+
+    @property
+    def text(self) -> str:
+        """The row in its columns."""
+        if not self.value:
+            return self.name
+        sigma, unit = (f" ± {self.sigma}" if self.sigma else ""), (f" {self.unit}" if self.unit else "")
+        return f"{self.name:<{_NAME_WIDTH}}{self.value}{sigma}{unit}"
+
+
+class Line(NamedTuple):
+    """One line of a summary."""
+
+    text: str
+    head: str = ""
+    """What stands before the text, in a style of its own."""
+    style: str = ""
+
+
+def show(result: "CalibrationResult", console: "Console") -> None:
     """Print the verdict, the numbers with their sigmas, what the poses leave, and the warnings."""
-    verdict = f"solver {result.solver}, {result.used} of {result.poses} poses"
-    console.print(f"{result.status}: ", style="bold green" if result.status == "ok" else "bold red", end="")
-    console.print(verdict)
-    show_intakes(result.provenance.intakes, console)
-    show_numbers(result, console)
-    for line in _quality(result):
-        console.print(f"  {line}", soft_wrap=True)
-    for line in _chain(result.chain) if result.chain else ():
-        console.print(f"  {line}", soft_wrap=True)
-    if result.cross_validation:
-        for row in (result.cross_validation.overall, *result.cross_validation.per_fold):
-            console.print(f"  {f'held out, {row.label}':<{_NAME_WIDTH}}{_held_out(row)}", soft_wrap=True)
-    _show_warnings(result.warnings, console)
+    _print(result_lines(result), console)
 
 
-def show_check(check: Check, console: Console) -> None:
+def show_check(check: "Check", console: "Console") -> None:
     """Print what was compared, what failed, and what this recording cannot show; the verdict is the caller's."""
+    _print(check_lines(check), console)
+
+
+def show_centre(found: "VirtualCentre", console: "Console") -> None:
+    """Print where the virtual centre is and how far it moved; the verdict is the caller's."""
+    _print(centre_lines(found), console)
+
+
+def show_intakes(intakes: tuple[Intake, ...], console: "Console") -> None:
+    """Print how many frames were read, kept, and dropped for which reason; nothing of a sound native file."""
+    _print(_intake_lines(intakes), console)
+
+
+def show_numbers(result: "CalibrationResult", console: "Console") -> None:
+    """Print the numbers with their sigmas alone."""
+    _print(_indented(_numbers(result)), console)
+
+
+def text_of(lines: Sequence[Line], refusal: Note | None = None) -> str:
+    """The lines as `show` prints them, and what a command says of the ``refusal`` below them."""
+    every = [*lines, *([Line(refusal.message, f"refused ({refusal.code}): ")] if refusal else [])]
+    return "\n".join(printable(line.head + line.text) for line in every)
+
+
+def printable(text: str) -> str:
+    """Control characters as escapes; line breaks stay."""
+    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+
+
+def in_mm(value: Array, sigma: Array | None) -> str:
+    """A vector (3,), m, on one line: ``(x, y, z) ± (x, y, z) mm``."""
+    words = [f"({', '.join(f'{x * 1e3:.3f}' for x in vector)})" for vector in (value, sigma) if vector is not None]
+    return f"{' ± '.join(words)} mm"
+
+
+def _print(lines: Sequence[Line], console: "Console") -> None:
+    for line in lines:
+        if line.head:
+            console.print(line.head, style=line.style, end="")
+        console.print(line.text, soft_wrap=True)
+
+
+def result_lines(result: "CalibrationResult") -> list[Line]:
+    """The verdict, the numbers with their sigmas, what the poses leave, and the warnings."""
+    return [
+        Line(f"solver {result.solver}, {result.used} of {result.poses} poses", *_verdict(result.status)),
+        *_intake_lines(result.provenance.intakes),
+        *_indented(result_rows(result)),
+        *_warning_lines(result.warnings),
+    ]
+
+
+def result_rows(result: "CalibrationResult") -> list[Row]:
+    """The numbers with their sigmas, and how good they are."""
+    rows = [*_numbers(result), *_quality(result), *(_chain(result.chain) if result.chain else ())]
+    if result.cross_validation:
+        parts = (result.cross_validation.overall, *result.cross_validation.per_fold)
+        rows += [Row(f"held out, {row.label}", _held_out(row)) for row in parts]
+    return rows
+
+
+def check_lines(check: "Check") -> list[Line]:
+    """What was compared, what failed, and what this recording cannot show."""
     compared = {
         "offset": check.offset,
         "orbital axis": check.orbital_axis,
@@ -43,21 +126,19 @@ def show_check(check: Check, console: Console) -> None:
         "pose positions": check.pose_position,
         "pose orientations": check.pose_rotation,
     }
-    console.print(f"{check.used} of {check.poses} poses compared with the saved calibration")
-    for name, change in compared.items():
-        if change is not None:
-            console.print(f"  {name:<{_NAME_WIDTH}}{_change(change)}", soft_wrap=True)
-    for words in check.unseen:
-        console.print(f"  not seen: {words}", soft_wrap=True)
-    _show_warnings(check.warnings, console)
+    return [
+        Line(f"{check.used} of {check.poses} poses compared with the saved calibration"),
+        *_indented([_change(name, change) for name, change in compared.items() if change is not None]),
+        *_indented([Row(f"not seen: {words}") for words in check.unseen]),
+        *_warning_lines(check.warnings),
+    ]
 
 
-def show_centre(found: VirtualCentre, console: Console) -> None:
-    """Print where the virtual centre is and how far it moved; the verdict is the caller's."""
+def centre_lines(found: "VirtualCentre") -> list[Line]:
+    """Where the virtual centre is and how far it moved."""
     turn = "" if found.turn_rad is None else f" over {np.degrees(found.turn_rad):.1f} deg"
-    console.print(f"{found.used} of {found.poses} poses{turn}")
     sigma, spread = found.sigma, found.spread
-    lines = [
+    rows = [
         *_vector("virtual centre in the C-arm", found.centre_carm_m, sigma and sigma.centre_carm_m),
         *_vector("in the sensor", found.centre_sensor_m, sigma and sigma.centre_sensor_m),
         *_vector("in the world", found.centre_world_m, sigma and sigma.centre_world_m),
@@ -65,18 +146,25 @@ def show_centre(found: VirtualCentre, console: Console) -> None:
         *_length("distance from that circle, rms", found.path_rms_m, None),
     ]
     if found.alpha_rad is not None:
-        lines.append(_line("angle about the angular axis", float(np.degrees(found.alpha_rad)), None, "deg"))
+        rows.append(_row("angle about the angular axis", float(np.degrees(found.alpha_rad)), None, "deg"))
     if spread:
-        lines += _length("spread of the centre, rms", spread.rms_m, None)
-        lines += _length("of it by noise", spread.noise_m, None)
-        lines += [f"{line} (pose {spread.largest_pose})" for line in _length("largest", spread.largest_m, None)]
-    for line in lines:
-        console.print(f"  {line}", soft_wrap=True)
-    _show_warnings(found.warnings, console)
+        rows += _length("spread of the centre, rms", spread.rms_m, None)
+        rows += _length("of it by noise", spread.noise_m, None)
+        rows += _length("largest", spread.largest_m, None, f" (pose {spread.largest_pose})")
+    head = Line(f"{found.used} of {found.poses} poses{turn}")
+    return [head, *_indented(rows), *_warning_lines(found.warnings)]
 
 
-def show_intakes(intakes: tuple[Intake, ...], console: Console) -> None:
-    """Print how many frames were read, kept, and dropped for which reason; nothing of a sound native file."""
+def _verdict(status: str) -> tuple[str, str]:
+    return f"{status}: ", "bold green" if status == "ok" else "bold red"
+
+
+def _indented(rows: Sequence[Row]) -> list[Line]:
+    return [Line(f"  {row.text}") for row in rows]
+
+
+def _intake_lines(intakes: tuple[Intake, ...]) -> list[Line]:
+    lines = []
     for one in intakes:
         if one.kept == one.frames and one.format == "csv":
             continue
@@ -84,23 +172,19 @@ def show_intakes(intakes: tuple[Intake, ...], console: Console) -> None:
         rows = {"kept": one.kept, **{drop.reason: drop.count for drop in one.dropped}}
         rows |= {"rotations projected": one.projected} if one.projected else {}
         rows |= {"stations": one.stations} if one.stations else {}
-        console.print(f"  {'frames':<{_NAME_WIDTH}}{one.frames:>10} ({what})", soft_wrap=True)
-        for name, count in rows.items():
-            console.print(f"    {name:<{_NAME_WIDTH - 2}}{count:>10}", soft_wrap=True)
+        lines.append(Line(f"  {'frames':<{_NAME_WIDTH}}{one.frames:>10} ({what})"))
+        lines += [Line(f"    {name:<{_NAME_WIDTH - 2}}{count:>10}") for name, count in rows.items()]
+    return lines
 
 
-def _show_warnings(warnings: tuple[Note, ...], console: Console) -> None:
-    for warning in warnings:
-        console.print(f"warning ({warning.code}): ", style="yellow", end="")
-        console.print(warning.message, soft_wrap=True)
+def _warning_lines(warnings: tuple[Note, ...]) -> list[Line]:
+    return [Line(warning.message, f"warning ({warning.code}): ", "yellow") for warning in warnings]
 
 
-def _change(change: Length | Angle) -> str:
-    if isinstance(change, Length):
-        values, unit = (change.difference_m * 1e3, change.limit_m * 1e3), "mm"
-    else:
-        values, unit = (np.degrees(change.difference_rad), np.degrees(change.limit_rad)), "deg"
-    return f"{values[0]:>10.3f} {unit}, at most {values[1]:.3f}" + ("" if change.within else "  FAILED")
+def _change(name: str, change: "Length | Angle") -> Row:
+    difference, limit, unit = change.shown
+    failed = "" if change.within else "  FAILED"
+    return Row(name, f"{difference:>10.3f}", unit=f"{unit}, at most {limit:.3f}{failed}")
 
 
 def _held_out(row: HeldOut) -> str:
@@ -111,51 +195,44 @@ def _held_out(row: HeldOut) -> str:
     return f"{errors}, chi2/dof {row.chi2_per_dof:.2f}, angles absorb {absorbed:.1f} of 6"
 
 
-def show_numbers(result: CalibrationResult, console: Console) -> None:
-    """Print the numbers with their sigmas alone."""
-    for line in _numbers(result):
-        console.print(f"  {line}", soft_wrap=True)
-
-
-def _numbers(result: CalibrationResult) -> list[str]:
+def _numbers(result: "CalibrationResult") -> list[Row]:
     sigma = result.sigma
-    lines = _vector("offset sensor to rotation centre", result.offset_sensor_pivot_m, sigma.offset_sensor_pivot_m)
-    lines += _major_radius(result)
-    lines += _length("minor radius", result.minor_radius_m, sigma.minor_radius_m)
+    rows = _vector("offset sensor to rotation centre", result.offset_sensor_pivot_m, sigma.offset_sensor_pivot_m)
+    rows += _major_radius(result)
+    rows += _length("minor radius", result.minor_radius_m, sigma.minor_radius_m)
     skew = result.axis_non_orthogonality_rad
     if skew is not None:
-        lines.append(_line("non-orthogonality", np.degrees(skew), _degrees(sigma.axis_non_orthogonality_rad), "deg"))
-    lines += _direction("orbital axis in the sensor", result.orbital_axis_sensor, sigma.orbital_axis_sensor)
+        rows.append(_row("non-orthogonality", np.degrees(skew), _degrees(sigma.axis_non_orthogonality_rad), "deg"))
+    rows += _direction("orbital axis in the sensor", result.orbital_axis_sensor, sigma.orbital_axis_sensor)
     for k, placement in enumerate(result.placements):
         one = sigma.placements[k] if sigma.placements else None
         if len(result.placements) > 1:
-            lines.append(f"placement {placement.label}")
-        lines += _vector("centre in the world", placement.torus_center_world_m, one and one.torus_center_world_m)
-        lines += _direction("angular axis in the world", placement.angular_axis_world, one and one.angular_axis_world)
-    return lines
+            rows.append(Row(f"placement {placement.label}"))
+        rows += _vector("centre in the world", placement.torus_center_world_m, one and one.torus_center_world_m)
+        rows += _direction("angular axis in the world", placement.angular_axis_world, one and one.angular_axis_world)
+    return rows
 
 
-def _major_radius(result: CalibrationResult) -> list[str]:
+def _major_radius(result: "CalibrationResult") -> list[Row]:
     """With an upper limit instead of a sigma where the interval is one-sided."""
     interval = result.major_radius_interval_95_m
     if interval is None or interval[0] > 0:
         return _length("major radius", result.major_radius_m, result.sigma.major_radius_m)
-    (line,) = _length("major radius", result.major_radius_m, None)
-    return [f"{line}, at most {interval[1] * 1e3:.3f} mm (95%)"]
+    return _length("major radius", result.major_radius_m, None, f", at most {interval[1] * 1e3:.3f} mm (95%)")
 
 
-def _quality(result: CalibrationResult) -> list[str]:
+def _quality(result: "CalibrationResult") -> list[Row]:
     residuals, noise = result.residuals, result.noise
     rms = _both(residuals.translation_rms_m, residuals.rotation_rms_rad)
     level = _both(noise.translation_m, noise.rotation_rad)
     kind = "estimated" if noise.estimated else "given"
-    return [f"{'residuals, rms':<{_NAME_WIDTH}}{rms}", f"{f'noise an axis, {kind}':<{_NAME_WIDTH}}{level}"]
+    return [Row("residuals, rms", rms), Row(f"noise an axis, {kind}", level)]
 
 
-def _chain(chain: ChainCalibration) -> list[str]:
+def _chain(chain: ChainCalibration) -> list[Row]:
     """What the URDF's numbers leave, and how they changed."""
     nominal = _both(chain.nominal.translation_rms_m, chain.nominal.rotation_rms_rad)
-    lines = [f"{'residuals of the nominal URDF':<{_NAME_WIDTH}}{nominal}"]
+    found = [Row("residuals of the nominal URDF", nominal)]
     for joint in chain.joints:
         rows = [*zip("xyz", joint.shift_m * 1e3, joint.shift_sigma_m * 1e3, ["mm"] * 3, strict=True)]
         turns, sigmas = np.degrees(joint.turn_rad), np.degrees(joint.turn_sigma_rad)
@@ -165,8 +242,8 @@ def _chain(chain: ChainCalibration) -> list[str]:
         if joint.zero_m is not None and joint.zero_sigma_m is not None:
             rows.append(("zero", joint.zero_m * 1e3, joint.zero_sigma_m * 1e3, "mm"))
         rows.append(("gain", joint.gain * 1e2, joint.gain_sigma * 1e2, "%"))
-        lines += [_line(f"change of {joint.joint}, {n}", v, s, unit) for n, v, s, unit in rows if n in joint.estimated]
-    return [*lines, *(f"not told: {words}" for words in chain.not_identifiable)]
+        found += [_row(f"change of {joint.joint}, {n}", v, s, unit) for n, v, s, unit in rows if n in joint.estimated]
+    return [*found, *(Row(f"not told: {words}") for words in chain.not_identifiable)]
 
 
 def _both(length: float | None, angle: float | None) -> str:
@@ -176,27 +253,30 @@ def _both(length: float | None, angle: float | None) -> str:
     return ", ".join(known)
 
 
-def _line(name: str, value: float, sigma: float | None, unit: str) -> str:
-    return f"{name:<{_NAME_WIDTH}}{value:>10.3f}" + ("" if sigma is None else f" ± {sigma:.3f}") + f" {unit}"
+def _row(name: str, value: float, sigma: float | None, unit: str) -> Row:
+    return Row(name, f"{value:>10.3f}", "" if sigma is None else f"{sigma:.3f}", unit)
 
 
-def _length(name: str, value: float | None, sigma: float | None) -> list[str]:
-    return [] if value is None else [_line(name, value * 1e3, None if sigma is None else sigma * 1e3, "mm")]
+def _length(name: str, value: float | None, sigma: float | None, more: str = "") -> list[Row]:
+    """In mm; ``more`` stands behind the unit."""
+    if value is None:
+        return []
+    return [_row(name, value * 1e3, None if sigma is None else sigma * 1e3, f"mm{more}")]
 
 
-def _vector(name: str, value: Array | None, sigma: Array | None) -> list[str]:
+def _vector(name: str, value: Array | None, sigma: Array | None) -> list[Row]:
     if value is None:
         return []
     names = [f"{name}, x", f"{'':<{len(name)}}  y", f"{'':<{len(name)}}  z"]
     sigmas = [None] * 3 if sigma is None else list(sigma * 1e3)
-    return [_line(n, v * 1e3, s, "mm") for n, v, s in zip(names, value, sigmas, strict=True)]
+    return [_row(n, v * 1e3, s, "mm") for n, v, s in zip(names, value, sigmas, strict=True)]
 
 
-def _direction(name: str, value: Array | None, sigma: Array | None) -> list[str]:
+def _direction(name: str, value: Array | None, sigma: Array | None) -> list[Row]:
     if value is None:
         return []
-    text = f"{name:<{_NAME_WIDTH}}({value[0]:+.5f}, {value[1]:+.5f}, {value[2]:+.5f})"
-    return [text if sigma is None else f"{text} ± {np.degrees(np.linalg.norm(sigma)):.4f} deg"]
+    text = f"({value[0]:+.5f}, {value[1]:+.5f}, {value[2]:+.5f})"
+    return [Row(name, text) if sigma is None else Row(name, text, f"{np.degrees(np.linalg.norm(sigma)):.4f}", "deg")]
 
 
 def _degrees(angle: float | None) -> float | None:

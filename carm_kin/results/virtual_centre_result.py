@@ -6,6 +6,7 @@ from typing import Any
 
 from carm_kin.results.parts import NoiseLevel, Outliers, Provenance
 from carm_kin.results.result_json import json_text, object_of
+from carm_kin.results.summary import centre_lines, in_mm, text_of
 from solvers.estimate import Note
 from solvers.se3 import Array
 
@@ -88,6 +89,23 @@ class VirtualCentre:
     centres_world_m: Array | None = None
     """(M, 3) where each pose puts the virtual centre."""
     refusal: Note | None = None
+
+    def __str__(self) -> str:
+        """What `carm-kin centre` prints."""
+        words = text_of(centre_lines(self), self.refusal)
+        if self.status == "fixed":
+            return f"{words}\nfixed: one point of the C-arm stands still"
+        if self.refusal or not self.spread:
+            return words
+        moves = f"{self.spread.beyond_noise_m * 1e3:.2f} mm (rms) beyond the noise"
+        return f"{words}\nnot fixed: no point stands still: the one that moves least moves by {moves}"
+
+    def __repr__(self) -> str:
+        """One line."""
+        why = f" ({self.refusal.code})" if self.refusal else ""
+        sigma = self.sigma and self.sigma.centre_carm_m
+        centre = "" if self.centre_carm_m is None else f", centre in the C-arm {in_mm(self.centre_carm_m, sigma)}"
+        return f"VirtualCentre {self.status}{why}: {self.used} of {self.poses} poses{centre}"
 
     def to_dict(self) -> dict[str, Any]:
         """The content of the JSON file: mm and degrees, units in the names."""

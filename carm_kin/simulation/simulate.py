@@ -1,5 +1,6 @@
 """Simulated recordings: a chain, a protocol, noise and a seed give a recording and its truth."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 from carm_kin.errors import InputError
 from carm_kin.machine.chain import Chain, chain_of
 from carm_kin.machine.kinematics import Model
-from carm_kin.machine.urdf import UrdfFile, read_urdf
+from carm_kin.machine.urdf import UrdfFile, as_urdf
 from carm_kin.recording.recording import ROTATION_TOLERANCE, Recording
 from carm_kin.results.result import CalibrationResult
 from carm_kin.simulation.noise import Noise, checked, disturbed, readings
@@ -22,7 +23,7 @@ WORLD_M = 1.0
 
 
 def simulate(
-    urdf: str | Path | UrdfFile,
+    urdf: UrdfFile | str | os.PathLike,
     protocol: str | Path = "clinical",
     *,
     sigma_t_m: float = 0.0,
@@ -52,7 +53,7 @@ def simulate(
     for name, T in (("T_world_torus", T_world_torus), ("T_sensor_mount", T_sensor_mount)):
         _check_rigid(name, T)
     rng = np.random.default_rng(seed)
-    file = urdf if isinstance(urdf, UrdfFile) else read_urdf(urdf)
+    file = as_urdf(urdf)
     chain = chain_of(file, sensor_link, angular, orbital)
     plan = plan_of(file, chain, protocol, rng)
     if T_world_torus is None:

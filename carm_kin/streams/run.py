@@ -1,6 +1,6 @@
 """One capture from its connection to its end."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rich.console import Console
@@ -24,17 +24,17 @@ class Request:
 
     server: Address
     path: Path
-    append: bool
+    append: bool = False
     """Go on with the file where it is there."""
-    tool: str | None
+    tool: str | None = None
     """None: the only one that the server sends."""
-    reference: str | None
-    marks: Marks
-    moving: str | None
+    reference: str | None = None
+    marks: Marks = field(default_factory=Marks)
+    moving: str | None = None
     """The joint that moves in the first sweep, and"""
-    held_deg: float | None
+    held_deg: float | None = None
     """where the other one stands; both None: no sweep begins yet."""
-    ends: Ends
+    ends: Ends = field(default_factory=Ends)
     ask: tuple[Message, ...] = ()
     """Sent to the server whenever a connection is made."""
 

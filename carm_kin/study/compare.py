@@ -15,12 +15,13 @@ from carm_kin.calibration.by_settings import calibrate_as, two_axes_arguments
 from carm_kin.calibration.cross_validate import cross_validate, errors_of
 from carm_kin.calibration.settings import CHAIN, Settings
 from carm_kin.errors import InputError, RefusedError
+from carm_kin.recording.formats import RecordingLike, as_recording
 from carm_kin.recording.recording import Recording
 from carm_kin.results.differences import Difference, differences
 from carm_kin.results.held_out import HeldOut, row_of
 from carm_kin.results.parts import Provenance
 from carm_kin.results.provenance import provenance_of
-from carm_kin.results.result import CalibrationResult
+from carm_kin.results.result import CalibrationResult, ResultLike, as_result
 from carm_kin.results.result_json import json_text, object_of
 from solvers.estimate import Note
 
@@ -62,6 +63,11 @@ class Comparison:
     """Of every two solvers, and of every solver and the truth."""
     provenance: Provenance
 
+    def __repr__(self) -> str:
+        """One line."""
+        answers = ", ".join(f"{run.solver} {run.reason.code if run.reason else 'ok'}" for run in self.runs)
+        return f"Comparison on {self.poses} poses: {answers}"
+
     def to_dict(self) -> dict[str, Any]:
         """The content of the JSON file: mm and degrees, units in the names."""
         data = object_of(SCHEMA, self)
@@ -83,16 +89,17 @@ def agreement(recording: Recording, settings: Settings = Settings()) -> np.ndarr
 
 
 def compare(
-    recording: Recording,
-    names: Sequence[str] | None = None,
+    recording: RecordingLike,
+    names: str | Sequence[str] | None = None,
     *,
     settings: Settings = Settings(),
     counted: np.ndarray | None = None,
-    truth: CalibrationResult | None = None,
+    truth: ResultLike | None = None,
     folds: int | None = 5,
     command: str | None = None,
 ) -> Comparison:
-    """Calibrate a recording with the solvers ``names``; by default all, and with a URDF in the settings its chain too.
+    """Calibrate a recording, which may be a path, with the solvers ``names``, comma between where they are one text; by
+    default all, and with a URDF in the settings its chain too.
 
     ``settings`` are those of the joints and of the noise. Every solver has its default options, so that all share the
     gauge of docs/gauge.md, and all poses. Errors are of the poses ``counted`` (N,), by default all: `agreement` tells
@@ -100,6 +107,8 @@ def compare(
 
     Raises InputError for unknown solvers and for joints that the recording does not have.
     """
+    recording, truth = as_recording(recording), None if truth is None else as_result(truth)
+    names = [name.strip() for name in names.split(",")] if isinstance(names, str) else names
     every = (*solvers.solver_names(), *((CHAIN,) if settings.urdf else ()))
     chosen = tuple(dict.fromkeys(names or every))
     for name in chosen:

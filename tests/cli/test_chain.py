@@ -165,7 +165,7 @@ def test_bad_options_end_in_one_line(files, capsys, more, words):
 
 
 def test_the_chain_needs_a_urdf(files, capsys):
-    assert "needs a urdf (--urdf)" in fails(capsys, "calibrate", files / "rec.csv", "--solver", "chain")
+    assert "needs a urdf (--urdf" in fails(capsys, "calibrate", files / "rec.csv", "--solver", "chain")
     assert "several recordings: needs" in fails(capsys, "calibrate", files / "rec.csv", files / "rec.csv")
 
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 import carm_kin
 from carm_kin.calibration.chain.calibrate import FreeJoints, calibrate_chain
 from carm_kin.errors import InputError, RefusedError
-from carm_kin.exports import TRANSFORMS, Wanted, export_result, exports
+from carm_kin.exports import TRANSFORMS, export, exports
 from carm_kin.machine.urdf import find_urdf
 from carm_kin.recording.recording import Recording
 from carm_kin.results.parts import Provenance
@@ -55,7 +55,7 @@ def refused(recording) -> CalibrationResult:
 
 def written(result, name, tmp_path, **wanted) -> str:
     out = tmp_path / f"out{exports()[name].ending}"
-    export_result(result, name, out, Wanted(**wanted))
+    export(result, name, out, **wanted)
     return out.read_text(encoding="utf-8")
 
 
@@ -109,7 +109,7 @@ def test_hostile_provenance_stays_a_comment(name, result, tmp_path):
 def test_a_refused_calibration_is_not_exported(name, refused, tmp_path, capsys):
     refused.to_json(tmp_path / "refused.json")
     with pytest.raises(RefusedError, match="not exported"):
-        export_result(refused, name, tmp_path / "out")
+        export(refused, name, tmp_path / "out")
     ended = run(capsys, "export", tmp_path / "refused.json", "--to", name, "-o", tmp_path / "out")
     assert ended.status == 3
     assert len(ended.err.splitlines()) == 1
@@ -119,7 +119,7 @@ def test_a_refused_calibration_is_not_exported(name, refused, tmp_path, capsys):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_result_without_a_chain_is_not_exported(name, recording, tmp_path):
     with pytest.raises(InputError, match="'surface'"):
-        export_result(carm_kin.calibrate(recording, "surface"), name, tmp_path / "out")
+        export(carm_kin.calibrate(recording, "surface"), name, tmp_path / "out")
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -132,7 +132,7 @@ def test_without_a_sigma_it_says_so(name, recording, tmp_path):
 @pytest.mark.parametrize("which", TRANSFORMS)
 def test_itk_maps_points_from_the_parent_in_lps(which, result, tmp_path):
     sitk = pytest.importorskip("SimpleITK", reason="SimpleITK is not installed here; pip install 'carm-kin[test]'")
-    export_result(result, "itk", tmp_path / "out.tfm", Wanted(which))
+    export(result, "itk", tmp_path / "out.tfm", transform=which)
     read = sitk.ReadTransform(str(tmp_path / "out.tfm"))
     flip = np.array([-1, -1, 1])
     for child_mm in np.array([[0, 0, 0], [100.0, 0, 0], [-20, 30, 700]]):
@@ -183,7 +183,7 @@ def test_json_has_the_matrix_the_quaternion_and_the_result(which, result, tmp_pa
 
 def test_the_urdf_of_the_two_axes_moves_as_recorded(recording, result, tmp_path):
     yourdfpy = pytest.importorskip("yourdfpy")
-    export_result(result, "urdf", tmp_path / "out.urdf")
+    export(result, "urdf", tmp_path / "out.urdf")
     robot = yourdfpy.URDF.load(str(tmp_path / "out.urdf"), build_scene_graph=True)
     for k in range(0, len(recording), 7):
         robot.update_cfg(dict(zip(("angular", "orbital"), result.angles_rad[k], strict=True)))
@@ -208,7 +208,7 @@ def test_the_urdf_that_was_calibrated_comes_back_calibrated(tmp_path):
     untouched = original.read_text().split("<!-- Source")[1].split("<!-- Sensor")[0]
     assert untouched in text
     with pytest.raises(InputError, match="--urdf"):
-        export_result(found, "urdf", tmp_path / "out.urdf")
+        export(found, "urdf", tmp_path / "out.urdf")
 
 
 def test_a_pointer_has_a_tip_but_no_axes(tmp_path):

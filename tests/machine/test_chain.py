@@ -194,7 +194,7 @@ def test_the_readme_says_what_every_machine_is():
 
 def test_the_drawing_is_that_of_the_urdfs(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["draw_carms.py", str(tmp_path / "carms.svg")])
-    runpy.run_path(str(ROOT / "scripts" / "draw_carms.py"), run_name="__main__")
+    runpy.run_path(str(ROOT / "tools" / "draw_carms.py"), run_name="__main__")
     assert (tmp_path / "carms.svg").read_text("utf-8") == (URDF / "carms.svg").read_text("utf-8")
 
 

@@ -23,8 +23,8 @@ every_file = pytest.mark.parametrize("name", FILES)
 
 def test_the_files_are_those_that_the_description_gives(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["make_urdf.py", str(tmp_path)])
-    monkeypatch.syspath_prepend(str(ROOT / "scripts"))
-    runpy.run_path(str(ROOT / "scripts" / "make_urdf.py"), run_name="__main__")
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    runpy.run_path(str(ROOT / "tools" / "make_urdf.py"), run_name="__main__")
     made = {path.stem: path.read_bytes() for path in tmp_path.iterdir()}
     assert len(made) >= 12
     assert set(made) <= set(FILES)

@@ -430,7 +430,8 @@ def test_the_same_figure_has_the_same_bytes(recording, result, tmp_path):
 
 
 def test_without_matplotlib_it_says_how_to_get_it(recording, result, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    for module in ("matplotlib", "matplotlib.figure"):
+        monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(MissingDependencyError, match=r"carm-kin\[figures\]"):
         write_figures(result, recording, tmp_path)
 

@@ -1,8 +1,8 @@
 """Recordings of a machine and its URDF -> the machine calibrated as a chain of joints."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,10 +12,11 @@ from carm_kin.calibration.chain.assembly import SOLVER, Blank, Recorded, result_
 from carm_kin.calibration.chain.model import ChainModel, chain_model
 from carm_kin.calibration.chain.problem import gather, sensor_links_of, sensor_numbers
 from carm_kin.calibration.options import options_of
-from carm_kin.errors import InputError
+from carm_kin.errors import InputError, wrong_type
 from carm_kin.machine.chain import chain_of
-from carm_kin.machine.urdf import UrdfFile, listing, read_urdf
+from carm_kin.machine.urdf import UrdfFile, as_urdf, listing
 from carm_kin.recording.checks import repeated
+from carm_kin.recording.formats import RecordingLike, as_recordings
 from carm_kin.recording.recording import Recording
 from carm_kin.results.result import CalibrationResult
 from solvers.chain.chain import ChainEstimate, Free, Options, solve_chain
@@ -29,11 +30,18 @@ ALL, AXES, NONE = "all", "axes", "none"
 
 @dataclass(frozen=True)
 class FreeJoints:
-    """What of the URDF's numbers is unknown: names of joints, or ``all``, ``axes`` (the two main ones), ``none``."""
+    """What of the URDF's numbers is unknown: names of joints, or ``all``, ``axes`` (the two main ones), ``none``.
+
+    Names may also stand in one text, comma between. Raises InputError for what holds no names.
+    """
 
     placements: tuple[str, ...] = (ALL,)
     zeros: tuple[str, ...] = (NONE,)
     gains: tuple[str, ...] = (NONE,)
+
+    def __post_init__(self) -> None:
+        for name in ("placements", "zeros", "gains"):
+            object.__setattr__(self, name, _names(getattr(self, name)))
 
     def in_words(self) -> dict[str, str]:
         """As the options of the command have it."""
@@ -41,14 +49,22 @@ class FreeJoints:
         return {name: ",".join(joints) for name, joints in groups.items()}
 
 
+def _names(given: object) -> tuple[str, ...]:
+    """The names in a text, comma between, or in a sequence."""
+    names = given.split(",") if isinstance(given, str) else given
+    if not isinstance(names, (list, tuple)) or not all(isinstance(name, str) for name in names):
+        raise wrong_type(given, "what is free (names of joints, 'all', 'axes' or 'none', or a FreeJoints)")
+    return tuple(name.strip() for name in names)
+
+
 NOTHING = FreeJoints((NONE,), (NONE,), (NONE,))
 
 
 def calibrate_chain(
-    recordings: Recording | Sequence[Recording],
-    urdf: str | Path | UrdfFile,
+    recordings: RecordingLike | Sequence[RecordingLike],
+    urdf: UrdfFile | str | os.PathLike,
     *,
-    free: FreeJoints = FreeJoints(),
+    free: FreeJoints | str | Sequence[str] = FreeJoints(),
     sensor_link: str | None = None,
     angular: str | None = None,
     orbital: str | None = None,
@@ -61,21 +77,21 @@ def calibrate_chain(
     command: str | None = None,
     **options: Any,
 ) -> CalibrationResult:
-    """Calibrate the chain of a URDF (a path or a bundled name) from one or several recordings.
+    """Calibrate the chain of a URDF (a path or a bundled name) from one or several recordings
+    or paths of them.
 
     The base in the world of every placement and the mount of every sensor are unknown; ``free`` says which numbers
-    of the URDF are. A column ``sensor`` of a recording names the link that carries each pose's sensor, else
-    ``sensor_link`` does. Noises (m, rad; of the tracker an axis, of the joint readings) are estimated unless given;
-    0 takes the readings as exact. With ``folds`` the result holds the held-out check. ``options`` are those of
-    `solvers.chain.Options`. The result's `chain` holds the joints; its other numbers are those of the first sensor's
-    two axes. A refusal is a result, not an exception.
+    of the URDF are: a FreeJoints, or the joints whose origin is, such as ``"axes"`` or ``"angular, lift"``. A column
+    ``sensor`` of a recording names the link that carries each pose's sensor, else ``sensor_link`` does. Noises (m,
+    rad; of the tracker an axis, of the joint readings) are estimated unless given; 0 takes the readings as exact. With
+    ``folds`` the result holds the held-out check. ``options`` are those of `solvers.chain.Options`. The result's
+    `chain` holds the joints; its other numbers are those of the first sensor's two axes. A refusal is a result, not an
+    exception.
 
     Raises InputError for bad names, options and recordings without orientations.
     """
-    parts = (recordings,) if isinstance(recordings, Recording) else tuple(recordings)
-    if not parts:
-        raise InputError("no recording is given")
-    file = urdf if isinstance(urdf, UrdfFile) else read_urdf(urdf)
+    parts, file = as_recordings(recordings), as_urdf(urdf)
+    free = free if isinstance(free, FreeJoints) else FreeJoints(_names(free))
     model = _model(parts, file, sensor_link, angular, orbital)
     chosen, unknown = options_of(Options, SOLVER, options), free_of(model, free)
     sigma = (sigma_t_m, sigma_r_rad, sigma_reading_rad, sigma_reading_m)

@@ -15,9 +15,10 @@ content fits it only if it fits no other.
 import importlib
 import os
 import pkgutil
+from collections.abc import Sequence
 from pathlib import Path
 
-from carm_kin.errors import InputError
+from carm_kin.errors import InputError, wrong_type
 from carm_kin.recording.declarations import Declarations
 from carm_kin.recording.formats import _folder
 from carm_kin.recording.formats._format import Format
@@ -43,6 +44,24 @@ def formats() -> dict[str, Format]:
     return found
 
 
+RecordingLike = Recording | str | os.PathLike
+"""A recording, or the path of its file."""
+
+
+def as_recording(recording: RecordingLike) -> Recording:
+    """A recording as it is; one in a file as `read_recording` reads it. Raises InputError as that does."""
+    return recording if isinstance(recording, Recording) else read_recording(recording)
+
+
+def as_recordings(recordings: RecordingLike | Sequence[RecordingLike]) -> tuple[Recording, ...]:
+    """One recording or several. Raises InputError as `as_recording` does, and where there is none."""
+    if isinstance(recordings, str) or not isinstance(recordings, Sequence):
+        return (as_recording(recordings),)
+    if not recordings:
+        raise InputError("no recording is given")
+    return tuple(as_recording(recording) for recording in recordings)
+
+
 def read_recording(
     path: str | os.PathLike, format: str | None = None, declared: Declarations = Declarations()
 ) -> Recording:
@@ -51,6 +70,9 @@ def read_recording(
     The format is the named one, or told by the content, or by the extension. ``declared`` says what the file does not.
     Raises InputError where the format is unknown, the file is not sound, or a declaration is missing.
     """
+    if not isinstance(path, (str, os.PathLike)):
+        hint = "Recording.from_poses(T) makes one of poses (N, 4, 4)" if hasattr(path, "shape") else ""
+        raise wrong_type(path, "a recording (a Recording, or the path of its file)", hint)
     path = Path(path)
     chosen = _named(path, format) if format else format_of(path)
     if path.is_dir() and not (chosen and chosen.matches(path, b"")):
@@ -61,14 +83,14 @@ def read_recording(
     return ingest(raw, declared, chosen.name) if isinstance(raw, Raw) else applied(raw, declared)
 
 
-def write_recording(recording: Recording, path: str | os.PathLike, format: str | None = None) -> None:
-    """Write a recording in the named format or in the one that the file's extension tells.
+def write_recording(recording: RecordingLike, path: str | os.PathLike, format: str | None = None) -> None:
+    """Write a recording, or the one in a file, in the named format or in the one that the file's extension tells.
 
     Raises InputError where the format is unknown or cannot be written, or the file cannot be.
     """
     write = writer_of(path, format).write
     assert write is not None
-    write(recording, Path(path))
+    write(as_recording(recording), Path(path))
 
 
 def writer_of(path: str | os.PathLike, format: str | None = None) -> Format:

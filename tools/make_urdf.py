@@ -1,4 +1,4 @@
-"""Write the C-arm family from its parametric description: python scripts/make_urdf.py urdf"""
+"""Write the C-arm family from its parametric description: python tools/make_urdf.py urdf"""
 
 import sys
 from pathlib import Path

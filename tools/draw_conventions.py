@@ -1,4 +1,4 @@
-"""Draw frames, axes and angles from the chain itself: python scripts/draw_conventions.py docs/conventions.svg
+"""Draw frames, axes and angles from the chain itself: python tools/draw_conventions.py docs/conventions.svg
 
 Every point comes from `solvers.torus.Torus`; lengths are free, the non-orthogonality is zero.
 """

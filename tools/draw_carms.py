@@ -1,4 +1,4 @@
-"""Draw the bundled C-arms from their URDFs' own numbers: python scripts/draw_carms.py OUT.svg
+"""Draw the bundled C-arms from their URDFs' own numbers: python tools/draw_carms.py OUT.svg
 
 All joints stand at zero. Grey shapes are the URDF's visuals; marks are computed. Each machine has a scale of its own.
 """

@@ -11,7 +11,7 @@ QUARTER = pi / 2
 CONVENTIONS = (
     "Lengths are m, angles rad. Where nothing else is said, the C stands upright at zero and opens along x, the "
     "detector above; x points to the patient, y to the left, z up. Effort and velocity are placeholders. Written by "
-    "scripts/make_urdf.py."
+    "tools/make_urdf.py."
 )
 
 
