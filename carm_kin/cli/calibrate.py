@@ -12,10 +12,9 @@ import carm_kin
 from carm_kin.cli.arguments import Angular, AsJson, Orbital, SensorLink, above_zero, joint_names, options
 from carm_kin.cli.chain import ChainOptions, calibrate_with, chain_options
 from carm_kin.cli.options import grouped
-from carm_kin.cli.output import check_place, deliver
+from carm_kin.cli.output import check_place, deliver, results, warn
 from carm_kin.cli.reading import How, reading_options
 from carm_kin.cli.report import ReportOptions, report_options
-from carm_kin.cli.terminal import Stderr
 from carm_kin.errors import InputError, RefusedError
 from carm_kin.recording.recording import Recording
 from carm_kin.results.result import CalibrationResult
@@ -78,7 +77,8 @@ def calibrate(
         result = _two_axes(recordings[0], solver, cross_validate, settings)
     deliver(result, as_json)
     pages.write(result, recordings, joints)
-    summary.show(result, Stderr())
+    summary.show(result, results(as_json, pages.page))
+    warn(result.warnings)
     if result.refusal:
         raise RefusedError(result.refusal.code, result.refusal.message)
 

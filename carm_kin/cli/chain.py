@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from carm_kin.cli.arguments import writable
+from carm_kin.cli.output import written
 from carm_kin.errors import InputError
 from carm_kin.recording.recording import Recording
 from carm_kin.results.result import CalibrationResult
@@ -99,6 +100,7 @@ def calibrate_with(
     result = calibrate_chain(recordings, file, **own, **options)
     if chain.urdf_out and result.chain:
         write_urdf(calibrated_urdf(file, result.chain), chain.urdf_out)
+        written(chain.urdf_out)
     return result
 
 

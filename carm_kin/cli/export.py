@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from carm_kin.cli.arguments import writable
-from carm_kin.cli.terminal import Stderr
+from carm_kin.cli.output import written
 from carm_kin.results.result import CalibrationResult
 
 
@@ -27,7 +27,7 @@ def export(
 
     wanted = Wanted(transform, placement, parent_frame, child_frame, urdf)
     export_result(CalibrationResult.from_json(result), to, writable(out), wanted)
-    Stderr().print(f"written to {out}", soft_wrap=True)
+    written(out)
 
 
 def register(app: typer.Typer) -> None:

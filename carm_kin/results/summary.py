@@ -1,5 +1,7 @@
 """A result in words, for the terminal: one fact a line, each within 80 columns."""
 
+from collections.abc import Iterable
+
 import numpy as np
 from rich.console import Console
 
@@ -16,7 +18,7 @@ _NAME_WIDTH = 34
 
 
 def show(result: CalibrationResult, console: Console) -> None:
-    """Print the verdict, the numbers with their sigmas, what the poses leave, and the warnings."""
+    """Print the verdict, the numbers with their sigmas and what the poses leave."""
     verdict = f"solver {result.solver}, {result.used} of {result.poses} poses"
     console.print(f"{result.status}: ", style="bold green" if result.status == "ok" else "bold red", end="")
     console.print(verdict)
@@ -29,7 +31,6 @@ def show(result: CalibrationResult, console: Console) -> None:
     if result.cross_validation:
         for row in (result.cross_validation.overall, *result.cross_validation.per_fold):
             console.print(f"  {f'held out, {row.label}':<{_NAME_WIDTH}}{_held_out(row)}", soft_wrap=True)
-    _show_warnings(result.warnings, console)
 
 
 def show_check(check: Check, console: Console) -> None:
@@ -49,7 +50,6 @@ def show_check(check: Check, console: Console) -> None:
             console.print(f"  {name:<{_NAME_WIDTH}}{_change(change)}", soft_wrap=True)
     for words in check.unseen:
         console.print(f"  not seen: {words}", soft_wrap=True)
-    _show_warnings(check.warnings, console)
 
 
 def show_centre(found: VirtualCentre, console: Console) -> None:
@@ -72,7 +72,6 @@ def show_centre(found: VirtualCentre, console: Console) -> None:
         lines += [f"{line} (pose {spread.largest_pose})" for line in _length("largest", spread.largest_m, None)]
     for line in lines:
         console.print(f"  {line}", soft_wrap=True)
-    _show_warnings(found.warnings, console)
 
 
 def show_intakes(intakes: tuple[Intake, ...], console: Console) -> None:
@@ -89,7 +88,8 @@ def show_intakes(intakes: tuple[Intake, ...], console: Console) -> None:
             console.print(f"    {name:<{_NAME_WIDTH - 2}}{count:>10}", soft_wrap=True)
 
 
-def _show_warnings(warnings: tuple[Note, ...], console: Console) -> None:
+def show_warnings(warnings: Iterable[Note], console: Console) -> None:
+    """Print the warnings of a result, a line each."""
     for warning in warnings:
         console.print(f"warning ({warning.code}): ", style="yellow", end="")
         console.print(warning.message, soft_wrap=True)
