@@ -16,6 +16,7 @@ from carm_kin.errors import InputError, RefusedError
 from carm_kin.recording.recording import Recording
 from carm_kin.results.held_out import CrossValidation, Errors, HeldOut, overall_of, row_of
 from carm_kin.results.result import CalibrationResult
+from carm_kin.steps import step
 from solvers.estimate import Note
 from solvers.kinematic import fit_angles
 from solvers.likelihood.linearise import linearise
@@ -26,6 +27,7 @@ LEAST_SPREAD_RAD = float(np.radians(1.0))
 """A joint whose angle spreads by less within the poses of a placement does not move there."""
 
 
+@step("predict the held-out parts")
 def cross_validate(
     recording: Recording,
     folds: int = 5,

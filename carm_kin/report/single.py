@@ -18,11 +18,13 @@ from carm_kin.report.scene import scene
 from carm_kin.results.chain_result import ChainCalibration
 from carm_kin.results.held_out import HeldOut
 from carm_kin.results.result import CalibrationResult
+from carm_kin.steps import step
 
 MOST_LISTED = 60
 """Numbers of poses that are written out."""
 
 
+@step("write the report")
 def write_report(
     result: CalibrationResult,
     recording: Recording,

@@ -24,6 +24,7 @@ from carm_kin.recording.formats._format import Format
 from carm_kin.recording.ingest import applied, ingest
 from carm_kin.recording.raw import Raw
 from carm_kin.recording.recording import Recording
+from carm_kin.steps import step
 
 HEAD = 65536
 """Bytes of a file by which its format is told."""
@@ -51,7 +52,13 @@ def read_recording(
     The format is the named one, or told by the content, or by the extension. ``declared`` says what the file does not.
     Raises InputError where the format is unknown, the file is not sound, or a declaration is missing.
     """
-    path = Path(path)
+    with step(f"read {path}") as found:
+        recording = _read(Path(path), format, declared)
+        found(f"{len(recording)} poses")
+    return recording
+
+
+def _read(path: Path, format: str | None, declared: Declarations) -> Recording:
     chosen = _named(path, format) if format else format_of(path)
     if path.is_dir() and not (chosen and chosen.matches(path, b"")):
         raw, name = _folder.read(path, (lambda file: chosen) if chosen else format_of, declared)
