@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -13,7 +14,7 @@ from carm_kin.batches.entries import Entry, entries
 from carm_kin.batches.job import Report, calibrate_file, key_of, versions
 from carm_kin.batches.journal import FAILED, FINAL, KILLED, OK, REFUSED, Journal, Line
 from carm_kin.batches.pool import Job, Outcome, WorkerKilledError, Workers, run
-from carm_kin.batches.summary import row_of, write_summary
+from carm_kin.batches.summary import row_of, summary_files, write_summary
 from carm_kin.errors import InputError
 from carm_kin.files import write_atomically
 
@@ -68,6 +69,17 @@ class Batch:
     def journal(self) -> Journal:
         """What is done."""
         return Journal(self.folder / JOURNAL)
+
+    @property
+    def summaries(self) -> tuple[Path, ...]:
+        """The files of the summary, the CSV first."""
+        return summary_files(self.folder / SUMMARY)
+
+    def written(self, lines: Sequence[Line]) -> dict[Path, str]:
+        """The folders and files that a batch which ended like this has written, and in words what they hold."""
+        counts = Counter(FOLDERS[line.status] for line in lines if line.status in FOLDERS)
+        found = {self.folder / name: f"results of {count} recordings" for name, count in counts.items()}
+        return {**found, **dict.fromkeys(self.summaries, "the summary"), self.folder / JOURNAL: "the journal"}
 
     def started(self) -> bool:
         """Whether the folder holds what an earlier batch has done."""

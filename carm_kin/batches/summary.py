@@ -18,11 +18,15 @@ def row_of(line: Line, result: Mapping[str, Any] | None) -> dict[str, Cell]:
     return {name: getattr(line, name) for name in FIRST} | cells(result)
 
 
+def summary_files(path: Path) -> tuple[Path, ...]:
+    """``path`` with the extension .csv and, where pyarrow is installed, with .parquet."""
+    return tuple(path.with_suffix(ending) for ending in (".csv", *((".parquet",) if find_spec("pyarrow") else ())))
+
+
 def write_summary(rows: Sequence[Mapping[str, Cell]], path: Path) -> None:
-    """Write ``path`` with the extension .csv and, where pyarrow is installed, with .parquet."""
-    write_atomically(path.with_suffix(".csv"), csv_text(rows))
-    if find_spec("pyarrow"):
-        write_atomically(path.with_suffix(".parquet"), _parquet(rows))
+    """Write the `summary_files`."""
+    for file in summary_files(path):
+        write_atomically(file, csv_text(rows) if file.suffix == ".csv" else _parquet(rows))
 
 
 def _parquet(rows: Sequence[Mapping[str, Cell]]) -> bytes:

@@ -20,6 +20,7 @@ from carm_kin.results.parts import NoiseLevel, Outliers, Rejection
 from carm_kin.results.provenance import provenance_of
 from carm_kin.results.result import CalibrationResult, ResultLike, as_result
 from carm_kin.results.virtual_centre_result import CentreSigma, Spread, VirtualCentre
+from carm_kin.steps import step
 from solvers.estimate import Covariance, Note
 from solvers.problem import Problem
 from solvers.se3 import Array
@@ -38,6 +39,7 @@ BASE_TURNED_RAD = float(np.radians(0.5))
 """The axes may enclose an angle that differs by so much from the calibrated one, or by the noise of a pose."""
 
 
+@step("find the virtual centre")
 def virtual_centre(
     result: ResultLike,
     scan: RecordingLike,

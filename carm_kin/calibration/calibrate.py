@@ -20,6 +20,7 @@ from carm_kin.recording.stations import refitted
 from carm_kin.results.parts import Outliers, Provenance, Rejection
 from carm_kin.results.provenance import provenance_of
 from carm_kin.results.result import CalibrationResult
+from carm_kin.steps import step
 from solvers.estimate import Note
 from solvers.problem import Problem
 from solvers.se3 import Array
@@ -97,16 +98,19 @@ def _calibrated(
     if refusal:
         return refused_result(recording, name, asdict(options), refusal, provenance)
     try:
-        estimate = module.solve(problem, options)
+        with step(f"solve by {name}: {len(problem)} poses"):
+            estimate = module.solve(problem, options)
         if recording.variance is not None and name == "kinematic":
             problem = refitted(problem, estimate, recording.variance)
-            estimate = module.solve(problem, options)
+            with step(f"solve by {name}: the stops by what they tell"):
+                estimate = module.solve(problem, options)
     except np.linalg.LinAlgError:
         refusal = Note("unobservable", "the poses determine no machine: the equations are singular")
         return refused_result(recording, name, asdict(options), refusal, provenance)
     except ValueError as error:
         raise InputError(str(error)) from None
-    assessment = assess(problem, estimate, limits)
+    with step("assess the estimate"):
+        assessment = assess(problem, estimate, limits)
     return result_of(recording, problem, estimate, assessment, asdict(options), provenance)
 
 

@@ -17,6 +17,7 @@ from carm_kin.recording.formats import RecordingLike, as_recording
 from carm_kin.recording.recording import Recording
 from carm_kin.results.held_out import CrossValidation, Errors, HeldOut, overall_of, row_of
 from carm_kin.results.result import CalibrationResult
+from carm_kin.steps import step
 from solvers.estimate import Note
 from solvers.kinematic import fit_angles
 from solvers.likelihood.linearise import linearise
@@ -27,6 +28,7 @@ LEAST_SPREAD_RAD = float(np.radians(1.0))
 """A joint whose angle spreads by less within the poses of a placement does not move there."""
 
 
+@step("predict the held-out parts")
 def cross_validate(
     recording: RecordingLike,
     folds: int = 5,

@@ -13,6 +13,7 @@ from carm_kin.batches.journal import OK, Line
 from carm_kin.batches.pool import Workers, WorkersLostError
 from carm_kin.cli.arguments import writable
 from carm_kin.cli.options import grouped
+from carm_kin.cli.output import ended, results, written
 from carm_kin.cli.settings import settings_options
 from carm_kin.cli.terminal import Stderr
 from carm_kin.errors import InputError
@@ -40,7 +41,7 @@ def batch(
 
     Status 0: all have a result; 3: some have none.
     """
-    from carm_kin.batches.batch import SUMMARY, batch_of
+    from carm_kin.batches.batch import batch_of
     from carm_kin.cli.progress import progress
 
     if report:
@@ -57,7 +58,7 @@ def batch(
         raise
     if report:
         _report(whole, lines, report)
-    _conclude(console, lines, out / f"{SUMMARY}.csv")
+    _conclude(whole, lines)
 
 
 def _report(whole: "Batch", lines: list[Line], page: Path) -> None:
@@ -65,8 +66,9 @@ def _report(whole: "Batch", lines: list[Line], page: Path) -> None:
     from carm_kin.report import write_summary
     from carm_kin.results.result import CalibrationResult
 
-    written = [line for line in lines if line.result_sha256 is not None]
-    write_summary({line.label: CalibrationResult.from_json(whole.result_file(line)) for line in written}, page)
+    known = [line for line in lines if line.result_sha256 is not None]
+    write_summary({line.label: CalibrationResult.from_json(whole.result_file(line)) for line in known}, page)
+    written(page)
 
 
 def workers_of(jobs: int | None, cluster: str | None) -> Workers:
@@ -98,13 +100,15 @@ def _words(line: Line) -> str:
     return f"{line.label}: {line.status}{code}{reason}"
 
 
-def _conclude(console: Stderr, lines: list[Line], summary: Path) -> None:
+def _conclude(whole: "Batch", lines: list[Line]) -> None:
     """Say what came out. Raises typer.Exit with status 3 where not every recording has a result."""
-    count = Counter(line.status for line in lines)
+    for file, what in whole.written(lines).items():
+        written(file, what)
+    console, count = results(whole.folder), Counter(line.status for line in lines)
     good = f"{count.pop(OK, 0)} of {len(lines)} recordings calibrated"
     if not count:
-        console.print(f"{good}: see {summary}", style="bold green", soft_wrap=True)
+        console.print(good, style="bold green")
         return
     why = ", ".join(f"{number} {status}" for status, number in sorted(count.items()))
-    console.print(f"{good}, {why}: the reasons are in {summary}", style="bold red", soft_wrap=True)
-    raise typer.Exit(3)
+    console.print(f"{good}, {why}", style="bold red")
+    raise typer.Exit(ended(3, "partial", f"{good}, {why}: the reasons are in {whole.summaries[0]}"))

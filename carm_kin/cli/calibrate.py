@@ -8,11 +8,10 @@ import typer
 
 from carm_kin.cli.arguments import AsJson, writable
 from carm_kin.cli.options import grouped
-from carm_kin.cli.output import check_place, deliver
+from carm_kin.cli.output import check_place, deliver, results, warn, written
 from carm_kin.cli.reading import How, reading_options
 from carm_kin.cli.report import ReportOptions, report_options
 from carm_kin.cli.settings import CHAIN_PANEL, named, settings_options
-from carm_kin.cli.terminal import Stderr
 from carm_kin.errors import RefusedError
 
 
@@ -54,9 +53,11 @@ def calibrate(
         from carm_kin.machine.urdf import read_urdf, write_urdf
 
         write_urdf(calibrated_urdf(read_urdf(settings.urdf), result.chain), urdf_out)
+        written(urdf_out)
     deliver(result, as_json)
     joints = settings.angular or "angular", settings.orbital or "orbital"
     pages.write(result, recordings, joints if settings.solver_name == CHAIN else settings.joint_names(recordings[0]))
-    summary.show(result, Stderr())
+    summary.show(result, results(as_json, pages.page))
+    warn(result.warnings)
     if result.refusal:
         raise RefusedError(result.refusal.code, result.refusal.message)

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
+from rich.console import Console
 
 import carm_kin
 from carm_kin.calibration.settings import Settings
 from carm_kin.cli.arguments import writable
 from carm_kin.cli.options import grouped
-from carm_kin.cli.terminal import Stderr, to_stdout
+from carm_kin.cli.output import check_place, deliver, results, written
+from carm_kin.cli.terminal import Stderr
 from carm_kin.errors import InputError, RefusedError
 from carm_kin.files import write_atomically
 from carm_kin.recording.recording import Recording
@@ -75,6 +76,10 @@ class Outputs:
     figure: Path | None
     report: Path | None
 
+    def console(self) -> Console:
+        """Where the tables are read."""
+        return results(self.json, self.csv, self.report)
+
 
 def outputs(
     as_json: Annotated[str | None, typer.Option("--json", help="Write everything here; - for stdout.")] = None,
@@ -83,8 +88,7 @@ def outputs(
     report: Annotated[Path | None, typer.Option(help="Write a page about one recording here, one HTML file.")] = None,
 ) -> Outputs:
     """The places, checked before the work starts."""
-    if as_json not in (None, "-"):
-        writable(Path(as_json))
+    check_place(as_json)
     if figure is not None:
         from carm_kin.report.static import check_figure
 
@@ -137,7 +141,7 @@ def _recording(
     from carm_kin.study.compare import agreement
     from carm_kin.study.compare import compare as compared
 
-    console, whole = Stderr(), carm_kin.read_recording(path)
+    console, whole = output.console(), carm_kin.read_recording(path)
     beside = path.with_suffix(".truth.json")
     file = truth or (beside if beside.is_file() else None)
     true = carm_kin.CalibrationResult.from_json(file) if file else None
@@ -158,7 +162,8 @@ def _recording(
     if output.report:
         _report(found, recording, true, output.report)
     console.print(f"{len(recording)} poses, the same for every solver; {left_out} left out that disagree")
-    _show(console, compare_view.tables(found))
+    for table in compare_view.tables(found):
+        console.print(table)
     if found.counted < found.poses:
         console.print(f"residuals and held-out errors are of the {found.counted} poses that agree")
     for run in found.runs:
@@ -174,10 +179,11 @@ def _report(found: "Comparison", recording: Recording, truth: CalibrationResult 
     """The page of the first solver that draws the machine, the others compared on it."""
     from carm_kin.report import write_report
 
-    results = {run.solver: run.result for run in found.runs if run.result is not None}
-    if results:
-        first = results.get("kinematic") or next(iter(results.values()))
-        write_report(first, recording, page, compared=results, truth=truth)
+    calibrated = {run.solver: run.result for run in found.runs if run.result is not None}
+    if calibrated:
+        first = calibrated.get("kinematic") or next(iter(calibrated.values()))
+        write_report(first, recording, page, compared=calibrated, truth=truth)
+        written(page)
 
 
 def _study(simulation: Simulated, names: Sequence[str], settings: Settings, output: Outputs) -> None:
@@ -200,8 +206,8 @@ def _study(simulation: Simulated, names: Sequence[str], settings: Settings, outp
         orbital=settings.orbital,
         sensor_link=settings.sensor_link,
     )
-    console = Stderr()
-    with progress(console, "simulating", 0, simulation.repeat) as step:
+    console = output.console()
+    with progress(Stderr(), "simulating", 0, simulation.repeat) as step:
         found = study(
             chosen,
             names,
@@ -212,26 +218,23 @@ def _study(simulation: Simulated, names: Sequence[str], settings: Settings, outp
             told=lambda words: step(words, False),
         )
     _deliver(found, study_view.study_rows(found), lambda: compare_figures.study_figure(found), output)
-    _show(console, study_view.study_tables(found))
+    for table in study_view.study_tables(found):
+        console.print(table)
     for one in found.solvers:
         if one.first_reason:
-            console.print(f"{one.solver}: {one.refused} of {one.runs} without a result: {one.first_reason}")
+            console.print(
+                f"{one.solver}: {one.refused} of {one.runs} without a result: {one.first_reason}", soft_wrap=True
+            )
 
 
 def _deliver(found: "Comparison | Study", rows: list[dict[str, Cell]], draw: Any, output: Outputs) -> None:
     """Write what was asked for."""
-    if output.json == "-":
-        to_stdout(found.to_json())
-    elif output.json is not None:
-        found.to_json(output.json)
+    deliver(found, output.json)
     if output.csv is not None:
         write_atomically(output.csv, csv_text(rows))
+        written(output.csv)
     if output.figure is not None:
         from carm_kin.report.static import save
 
         save(draw(), output.figure)
-
-
-def _show(console: Stderr, tables: Sequence[Table]) -> None:
-    for table in tables:
-        console.print(table)
+        written(output.figure)

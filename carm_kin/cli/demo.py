@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 import solvers
 from carm_kin.calibration.calibrate import calibrate
+from carm_kin.cli.output import warn, written
 from carm_kin.cli.report import ReportOptions
+from carm_kin.cli.terminal import Stderr, Stdout
 from carm_kin.errors import InputError
 from carm_kin.recording.formats import read_recording, write_recording
 from carm_kin.recording.recording import Recording
@@ -24,7 +25,7 @@ MACHINE = "mobile_nonisocentric"
 SIGMA_T_M, SIGMA_R_RAD = 0.25e-3, float(np.radians(0.1))
 
 
-def run(folder: Path, seed: int, console: Console, pages: ReportOptions = ReportOptions(None, None)) -> None:
+def run(folder: Path, seed: int, pages: ReportOptions = ReportOptions(None, None)) -> None:
     """Write recording, truth and one result a solver into ``folder``, and the ``pages``; print what came out.
 
     Raises InputError where the folder cannot be made.
@@ -34,9 +35,12 @@ def run(folder: Path, seed: int, console: Console, pages: ReportOptions = Report
     except OSError as error:
         raise InputError(f"the folder cannot be made: {error.strerror}", file=folder) from None
     pages.check()
+    console = Stdout()
     simulated, truth = simulate(MACHINE, "clinical", sigma_t_m=SIGMA_T_M, sigma_r_rad=SIGMA_R_RAD, seed=seed)
     write_recording(simulated, folder / "recording.csv")
+    written(folder / "recording.csv")
     truth.to_json(folder / "recording.truth.json")
+    written(folder / "recording.truth.json", "the truth")
     recording = read_recording(folder / "recording.csv")
     console.print(
         f"{len(recording)} poses of the C-arm '{MACHINE}' in {len(recording.sweeps)} sweeps,\n"
@@ -49,15 +53,16 @@ def run(folder: Path, seed: int, console: Console, pages: ReportOptions = Report
     for name in solvers.solver_names():
         results[name], seconds = _timed(recording, name)
         results[name].to_json(folder / f"{name}.json")
+        written(folder / f"{name}.json")
         table.add_row(name, *_errors(results[name], truth), f"{seconds * 1e3:.0f} ms")
     console.print(table)
     console.print("The default solver says:")
     summary.show(results["kinematic"], console)
+    warn(results["kinematic"].warnings)
     console.print("\nThe truth is:")
     summary.show_numbers(truth, console)
     pages.write(results["kinematic"], [recording], compared=results, truth=truth)
-    console.print(f"\nRecording, truth and results are in the folder {folder}", soft_wrap=True)
-    console.print(f"Next: carm-kin calibrate {shlex.quote(str(folder / 'recording.csv'))}", soft_wrap=True)
+    Stderr().print(f"Next: carm-kin calibrate {shlex.quote(str(folder / 'recording.csv'))}", soft_wrap=True)
 
 
 def _timed(recording: Recording, solver: str) -> tuple[CalibrationResult, float]:

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from carm_kin.cli.batch import workers_of
+from carm_kin.cli.output import written
 from carm_kin.cli.terminal import Stderr
 from carm_kin.errors import InputError
 
@@ -31,4 +32,5 @@ def experiment(
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"the folder cannot be made: {error.strerror}", file=out) from None
-    run(names, out, seeds, workers_of(jobs, cluster), command_line(sys.argv[1:]), Stderr())
+    for file in run(names, out, seeds, workers_of(jobs, cluster), command_line(sys.argv[1:]), Stderr()):
+        written(file)

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from carm_kin.cli.arguments import writable
-from carm_kin.cli.terminal import Stderr
+from carm_kin.cli.output import written
 
 
 def export(
@@ -34,7 +34,7 @@ def export(
         child_frame=child_frame,
         urdf=urdf,
     )
-    Stderr().print(f"written to {out}", soft_wrap=True)
+    written(out)
 
 
 def register(app: typer.Typer) -> None:

@@ -6,9 +6,11 @@ from typing import Annotated
 import typer
 
 from carm_kin.cli.arguments import writable
+from carm_kin.cli.loudness import App
 from carm_kin.cli.options import grouped
+from carm_kin.cli.output import results, warn, written
 from carm_kin.cli.reading import How, reading_options
-from carm_kin.cli.terminal import Stderr
+from carm_kin.cli.terminal import Stderr, Stdout
 from carm_kin.recording.recording import Recording
 
 _PARTS = ("time_s", "sweep", "moving", "placement", "joints", "metadata", "variance")
@@ -19,7 +21,7 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the program."""
     app.command(epilog="Example: carm-kin formats")(formats)
     app.command(epilog="Example: carm-kin convert capture.igs.mha -o rec.csv --tool Stylus")(convert)
-    session = typer.Typer(help="Sessions: sweeps in several files, with their labels.", no_args_is_help=False)
+    session = App(help="Sessions: sweeps in several files, with their labels.", no_args_is_help=False)
     session.callback()(lambda: None)
     session.command(epilog="Example: carm-kin session init monday")(init)
     app.add_typer(session, name="session")
@@ -29,7 +31,7 @@ def formats() -> None:
     """List the formats of recordings."""
     from carm_kin.recording.formats import formats as known
 
-    console = Stderr()
+    console = Stdout()
     for name, found in known().items():
         console.print(f"  {name:<10}{'read, write' if found.write else 'read':<13}{found.summary}", soft_wrap=True)
 
@@ -48,15 +50,11 @@ def convert(
     format = writer_of(writable(out), to)
     poses = how.read(recording)
     write_recording(poses, out, format.name)
-    console = Stderr()
-    summary.show_intakes(poses.intakes, console)
-    for note in poses.warnings:
-        if note.code == "missing_frames":
-            continue
-        console.print(f"warning ({note.code}): {note.message}", soft_wrap=True)
+    summary.show_intakes(poses.intakes, results(out))
+    warn(note for note in poses.warnings if note.code != "missing_frames")
     if lost := [part for part in _held(poses) if part not in format.holds]:
-        console.print(f"warning: the format '{format.name}' does not hold {', '.join(lost)}", soft_wrap=True)
-    console.print(f"{len(poses)} poses written to {out}", soft_wrap=True)
+        Stderr().print(f"warning: the format '{format.name}' does not hold {', '.join(lost)}", soft_wrap=True)
+    written(out, f"{len(poses)} poses")
 
 
 def init(folder: Annotated[Path, typer.Argument(help="The folder of the tracker's files.")]) -> None:
@@ -64,7 +62,7 @@ def init(folder: Annotated[Path, typer.Argument(help="The folder of the tracker'
     from carm_kin.recording.session_init import init as write
 
     path, sweeps = write(folder)
-    Stderr().print(f"{sweeps} sweeps written to {path}; fill in their labels", soft_wrap=True)
+    written(path, f"{sweeps} sweeps; fill in their labels")
 
 
 def _held(recording: Recording) -> list[str]:

@@ -10,6 +10,7 @@ import typer
 import carm_kin
 from carm_kin.calibration.settings import above_zero
 from carm_kin.cli.arguments import writable
+from carm_kin.cli.output import written
 from carm_kin.cli.terminal import Stderr
 from carm_kin.errors import RefusedError
 from carm_kin.streams.marks import Marks
@@ -64,9 +65,7 @@ def capture(
     )
     console = Stderr()
     why, live = run(request, console)
-    console.print(
-        f"{live.poses} poses written to {out}, {live.frames - live.poses} frames without a pose", soft_wrap=True
-    )
+    written(out, f"{live.poses} poses, {live.frames - live.poses} frames without a pose")
     if why == ENDED and goal_m is not None:
         raise RefusedError("goal_not_met", f"the capture ended before the offset was known to {until_sigma_mm:g} mm")
     console.print(f"Next: carm-kin calibrate {shlex.quote(str(out))}", soft_wrap=True)

@@ -10,8 +10,9 @@ import typer
 import carm_kin
 from carm_kin.cli.arguments import Angular, Orbital, Seed, SensorLink, Urdf, writable
 from carm_kin.cli.options import grouped
+from carm_kin.cli.output import warn, written
 from carm_kin.cli.report import ReportOptions, report_options
-from carm_kin.cli.terminal import Stderr, to_stdout
+from carm_kin.cli.terminal import Stderr, Stdout, to_stdout
 
 
 def register(app: typer.Typer) -> None:
@@ -32,7 +33,7 @@ def demo(
     """Simulate a clinical recording, calibrate it with every solver, compare with the truth."""
     from carm_kin.cli.demo import run
 
-    run(out, seed, Stderr(), pages)
+    run(out, seed, pages)
 
 
 def inspect(
@@ -48,8 +49,10 @@ def inspect(
     found = inspection.inspect(urdf, sensor_link, angular, orbital)
     if as_json:
         to_stdout(json.dumps(found.to_dict(), indent=2) + "\n")
-    else:
-        inspection.show(found, Stderr())
+        return
+    inspection.show(found, Stdout())
+    for note in found.notes:
+        Stderr().print(f"note: {note}", soft_wrap=True)
 
 
 def simulate(
@@ -89,7 +92,6 @@ def simulate(
     )
     carm_kin.write_recording(recording, out)
     truth.to_json(truth_file)
-    console = Stderr()
-    for note in truth.warnings:
-        console.print(f"warning ({note.code}): {note.message}", soft_wrap=True)
-    console.print(f"{len(recording)} poses written to {out}, the truth to {truth_file}", soft_wrap=True)
+    warn(truth.warnings)
+    written(out, f"{len(recording)} poses")
+    written(truth_file, "the truth")

@@ -1,7 +1,8 @@
 """The command `carm-kin`. The only place that prints and sets the exit status.
 
 0 done; 2 bad usage or bad input; 3 refused, since the data cannot support a result; 1 a defect of ours;
-130 interrupted. Human text goes to stderr; results, where they are asked for with ``--json -``, to stdout.
+130 interrupted. Results, tables and verdicts go to stdout; warnings, progress, what was written and the reason of
+every status that is not 0 to stderr. With ``--json -`` stdout has the JSON alone, and stderr the rest.
 """
 
 import sys
@@ -12,14 +13,14 @@ import typer
 
 import carm_kin
 from carm_kin.cli import batch, calibrate, compare, experiment, export, files, live, machine, verify
+from carm_kin.cli.loudness import App, Quiet, Verbose, heard, set_loudness
 from carm_kin.cli.output import ended
 from carm_kin.cli.terminal import to_stdout, use_any_encoding
 from carm_kin.errors import CarmKinError, InputError, RefusedError
 
-app = typer.Typer(
+app = App(
     name="carm-kin",
     help="Radiation-free calibration of C-arms and the sensors attached to them.",
-    add_completion=False,
     rich_markup_mode="rich",
 )
 for _commands in (
@@ -45,7 +46,8 @@ def main() -> None:
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     use_any_encoding()
     try:
-        status = app(prog_name="carm-kin", standalone_mode=False)
+        with heard():
+            status = app(prog_name="carm-kin", standalone_mode=False)
     except RefusedError as error:
         status = ended(3, f"refused ({error.code})", str(error))
     except CarmKinError as error:
@@ -75,6 +77,9 @@ def _every_command(
     version: Annotated[
         bool, typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and exit.")
     ] = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
 ) -> None:
+    set_loudness(quiet, verbose)
     if context.invoked_subcommand is None:
         raise InputError("a command is missing; start with carm-kin demo, or see carm-kin --help")

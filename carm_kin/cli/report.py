@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from carm_kin.cli.arguments import writable
+from carm_kin.cli.output import written
 from carm_kin.errors import InputError
 from carm_kin.recording.recording import Recording
 from carm_kin.results.result import CalibrationResult
@@ -43,8 +44,10 @@ class ReportOptions:
         poses, names = together(recordings), Joints(*joints)
         if self.page is not None:
             write_report(result, poses, self.page, joints=names, compared=compared, truth=truth)
+            written(self.page)
         if self.figures is not None:
-            write_figures(result, poses, self.figures, joints=names, compared=compared, truth=truth)
+            for file in write_figures(result, poses, self.figures, joints=names, compared=compared, truth=truth):
+                written(file)
 
 
 def report_options(

@@ -1,5 +1,6 @@
-"""What the command writes to: plain text on stderr, results on stdout, whoever reads them to the end or not."""
+"""What the command writes to: results on stdout, all else on stderr, whoever reads them to the end or not."""
 
+import logging
 import os
 import sys
 from io import TextIOWrapper
@@ -7,18 +8,49 @@ from typing import Any
 
 from rich.console import Console
 
+from carm_kin.steps import LOG
 
-class Stderr(Console):
+WIDE = 10_000
+"""Columns of a place where nothing is cut or wrapped."""
+
+
+class _Plain(Console):
     """Text without markup; control characters are shown, not sent."""
 
-    def __init__(self) -> None:
-        super().__init__(stderr=True, highlight=False, markup=False, emoji=False)
+    def __init__(self, *, stderr: bool, quiet: bool = False, width: int | None = None) -> None:
+        super().__init__(stderr=stderr, quiet=quiet, width=width, highlight=False, markup=False, emoji=False)
 
     def print(self, *objects: Any, **more: Any) -> None:
         super().print(*(_printable(x) if isinstance(x, str) else x for x in objects), **more)
 
     def on_broken_pipe(self) -> None:
-        _discard(sys.stderr)
+        _discard(sys.stderr if self.stderr else sys.stdout)
+
+
+class Stdout(_Plain):
+    """Results, as wide as they are."""
+
+    def __init__(self, *, quiet: bool = False) -> None:
+        super().__init__(stderr=False, quiet=quiet, width=WIDE)
+
+
+class Stderr(_Plain):
+    """Warnings, progress, what was written: nothing with --quiet."""
+
+    def __init__(self, *, width: int | None = None) -> None:
+        super().__init__(stderr=True, quiet=is_quiet(), width=width)
+
+
+class Errors(_Plain):
+    """Why a command ended, --quiet or not."""
+
+    def __init__(self) -> None:
+        super().__init__(stderr=True)
+
+
+def is_quiet() -> bool:
+    """Whether errors alone are to be said."""
+    return not LOG.isEnabledFor(logging.WARNING)
 
 
 def use_any_encoding() -> None:

@@ -11,9 +11,8 @@ import carm_kin
 from carm_kin.calibration.settings import Settings, above_zero
 from carm_kin.cli.arguments import Angular, AsJson, Orbital
 from carm_kin.cli.options import grouped
-from carm_kin.cli.output import check_place, deliver, ended
+from carm_kin.cli.output import check_place, deliver, ended, results, warn
 from carm_kin.cli.reading import How, reading_options
-from carm_kin.cli.terminal import Stderr
 from carm_kin.errors import RefusedError
 
 
@@ -57,12 +56,16 @@ def check(
         command=command_line(sys.argv[1:]),
     )
     deliver(found, as_json)
-    summary.show_check(found, Stderr())
+    console = results(as_json)
+    summary.show_check(found, console)
+    warn(found.warnings)
     if found.refusal:
+        console.print("refused: whether the saved calibration holds is not known", style="bold red")
         raise RefusedError(found.refusal.code, found.refusal.message)
     if found.failures:
+        console.print("failed: the saved calibration does not hold", style="bold red")
         raise typer.Exit(ended(3, "failed", "; ".join(found.failures)))
-    Stderr().print("passed: the saved calibration holds", style="bold green")
+    console.print("passed: the saved calibration holds", style="bold green")
 
 
 @grouped("how", reading_options)
@@ -91,10 +94,14 @@ def centre(
         command=command_line(sys.argv[1:]),
     )
     deliver(found, as_json)
-    summary.show_centre(found, Stderr())
+    console = results(as_json)
+    summary.show_centre(found, console)
+    warn(found.warnings)
     if found.refusal:
+        console.print("refused: whether a point stands still is not known", style="bold red")
         raise RefusedError(found.refusal.code, found.refusal.message)
     if found.status == "not_fixed" and found.spread:
+        console.print("not fixed: no point of the C-arm stands still", style="bold red")
         moves = f"{found.spread.beyond_noise_m * 1e3:.2f} mm (rms) beyond the noise"
         raise typer.Exit(ended(3, "not fixed", f"no point stands still: the one that moves least moves by {moves}"))
-    Stderr().print("fixed: one point of the C-arm stands still", style="bold green")
+    console.print("fixed: one point of the C-arm stands still", style="bold green")

@@ -61,7 +61,7 @@ def inspect(urdf: str | Path, sensor_link: str | None, angular: str | None, orbi
 
 
 def show(found: Inspection, console: Console) -> None:
-    """Print it."""
+    """Print it, its notes left out."""
     data = found.to_dict()
     table = Table(
         "joint",
@@ -91,5 +91,3 @@ def show(found: Inspection, console: Console) -> None:
     }
     for name, value in rows.items():
         console.print(f"{name:<34}{value}", soft_wrap=True)
-    for note in found.notes:
-        console.print(f"note: {note}", soft_wrap=True)

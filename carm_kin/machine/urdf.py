@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 
 from carm_kin.errors import InputError, wrong_type
 from carm_kin.machine.urdf_check import JOINT_TYPES, Joint, UrdfFile, check_urdf, listing
+from carm_kin.steps import step
 from solvers.se3 import Array
 
 __all__ = [
@@ -80,7 +81,8 @@ def read_urdf(name_or_path: str | os.PathLike) -> UrdfFile:
         raise InputError(f"cannot be read: {error.strerror}", file=path) from error
     if len(data) > MAX_BYTES:
         raise InputError(f"is larger than {MAX_BYTES // 1_000_000} MB, which is no URDF of a machine", file=path)
-    return parse_urdf(data, path)
+    with step(f"read {path}"):
+        return parse_urdf(data, path)
 
 
 def parse_urdf(data: bytes, path: Path) -> UrdfFile:

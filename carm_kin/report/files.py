@@ -13,8 +13,10 @@ from carm_kin.report.matplotlib_figures import ENDINGS, draw, needs_matplotlib
 from carm_kin.report.poses import Joints, poses_of, together
 from carm_kin.report.scene import scene
 from carm_kin.results.result import ResultLike, as_result
+from carm_kin.steps import step
 
 
+@step("draw the figures")
 def write_figures(
     result: ResultLike,
     recording: RecordingLike | Sequence[RecordingLike],

@@ -17,12 +17,14 @@ from carm_kin.report.scene import scene
 from carm_kin.results.chain_result import ChainCalibration
 from carm_kin.results.held_out import HeldOut
 from carm_kin.results.result import CalibrationResult, ResultLike, as_result
+from carm_kin.steps import step
 from carm_kin.version import __version__
 
 MOST_LISTED = 60
 """Numbers of poses that are written out."""
 
 
+@step("write the report")
 def write_report(
     result: ResultLike,
     recording: RecordingLike | Sequence[RecordingLike],

@@ -1,6 +1,6 @@
 """A result in words, for the terminal, for `print` and for a notebook: one fact a line, each within 80 columns."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -48,7 +48,7 @@ class Line(NamedTuple):
 
 
 def show(result: "CalibrationResult", console: "Console") -> None:
-    """Print the verdict, the numbers with their sigmas, what the poses leave, and the warnings."""
+    """Print the verdict, the numbers with their sigmas and what the poses leave; the warnings are the caller's."""
     _print(result_lines(result), console)
 
 
@@ -72,9 +72,18 @@ def show_numbers(result: "CalibrationResult", console: "Console") -> None:
     _print(_indented(_numbers(result)), console)
 
 
-def text_of(lines: Sequence[Line], refusal: Note | None = None) -> str:
-    """The lines as `show` prints them, and what a command says of the ``refusal`` below them."""
-    every = [*lines, *([Line(refusal.message, f"refused ({refusal.code}): ")] if refusal else [])]
+def show_warnings(warnings: Iterable[Note], console: "Console") -> None:
+    """Print the warnings of a result, a line each."""
+    _print(_warning_lines(warnings), console)
+
+
+def text_of(lines: Sequence[Line], warnings: Iterable[Note], refusal: Note | None = None) -> str:
+    """The lines as `show` prints them, the warnings, and what a command says of the ``refusal`` below them."""
+    every = [
+        *lines,
+        *_warning_lines(warnings),
+        *([Line(refusal.message, f"refused ({refusal.code}): ")] if refusal else []),
+    ]
     return "\n".join(printable(line.head + line.text) for line in every)
 
 
@@ -97,12 +106,11 @@ def _print(lines: Sequence[Line], console: "Console") -> None:
 
 
 def result_lines(result: "CalibrationResult") -> list[Line]:
-    """The verdict, the numbers with their sigmas, what the poses leave, and the warnings."""
+    """The verdict, the numbers with their sigmas and what the poses leave."""
     return [
         Line(f"solver {result.solver}, {result.used} of {result.poses} poses", *_verdict(result.status)),
         *_intake_lines(result.provenance.intakes),
         *_indented(result_rows(result)),
-        *_warning_lines(result.warnings),
     ]
 
 
@@ -130,7 +138,6 @@ def check_lines(check: "Check") -> list[Line]:
         Line(f"{check.used} of {check.poses} poses compared with the saved calibration"),
         *_indented([_change(name, change) for name, change in compared.items() if change is not None]),
         *_indented([Row(f"not seen: {words}") for words in check.unseen]),
-        *_warning_lines(check.warnings),
     ]
 
 
@@ -151,8 +158,7 @@ def centre_lines(found: "VirtualCentre") -> list[Line]:
         rows += _length("spread of the centre, rms", spread.rms_m, None)
         rows += _length("of it by noise", spread.noise_m, None)
         rows += _length("largest", spread.largest_m, None, f" (pose {spread.largest_pose})")
-    head = Line(f"{found.used} of {found.poses} poses{turn}")
-    return [head, *_indented(rows), *_warning_lines(found.warnings)]
+    return [Line(f"{found.used} of {found.poses} poses{turn}"), *_indented(rows)]
 
 
 def _verdict(status: str) -> tuple[str, str]:
@@ -177,7 +183,7 @@ def _intake_lines(intakes: tuple[Intake, ...]) -> list[Line]:
     return lines
 
 
-def _warning_lines(warnings: tuple[Note, ...]) -> list[Line]:
+def _warning_lines(warnings: Iterable[Note]) -> list[Line]:
     return [Line(warning.message, f"warning ({warning.code}): ", "yellow") for warning in warnings]
 
 

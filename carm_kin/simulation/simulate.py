@@ -15,6 +15,7 @@ from carm_kin.results.result import CalibrationResult
 from carm_kin.simulation.noise import Noise, checked, disturbed, readings
 from carm_kin.simulation.plan import Plan, plan_of
 from carm_kin.simulation.truth import truth_of
+from carm_kin.steps import step
 from solvers.estimate import Note
 from solvers.se3 import Array, inverse, rotation_from_quat_wxyz, transform
 
@@ -22,6 +23,7 @@ WORLD_M = 1.0
 """The torus centre is drawn from a cube of this half-width about the tracker's origin."""
 
 
+@step("simulate a recording")
 def simulate(
     urdf: UrdfFile | str | os.PathLike,
     protocol: str | Path = "clinical",

@@ -16,8 +16,10 @@ from carm_kin.study.experiments import Outcome, Ransac
 PAGE, NUMBERS = "reproduction.md", "outcomes.csv"
 
 
-def run(names: Iterable[str], folder: Path, seeds: int, workers: Workers, command: str, console: Console) -> None:
-    """Run the named experiments and write the page, its figures and all numbers into the folder.
+def run(
+    names: Iterable[str], folder: Path, seeds: int, workers: Workers, command: str, console: Console
+) -> tuple[Path, ...]:
+    """Run the named experiments, write the page, its figures and all numbers into the folder; give back the files.
 
     Raises InputError for an unknown name, MissingDependencyError without matplotlib, and what a failed job raised.
     """
@@ -34,5 +36,6 @@ def run(names: Iterable[str], folder: Path, seeds: int, workers: Workers, comman
             found += outcome.value
     found.sort(key=lambda o: (o.condition.experiment, o.condition.value, o.seed))
     write_outcomes(found, folder / NUMBERS)
-    (folder / PAGE).write_text(page(found, table1, draw(found, folder), command, seeds), encoding="utf-8")
-    console.print(f"the page is {folder / PAGE}", soft_wrap=True)
+    drawn = draw(found, folder)
+    (folder / PAGE).write_text(page(found, table1, drawn, command, seeds), encoding="utf-8")
+    return tuple(folder / name for name in (PAGE, NUMBERS, *drawn.values()))

@@ -61,11 +61,13 @@ def local(many, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("local") / "out"
     ended = batch(many.folder, out, "--jobs", 1)
     assert ended.returncode == 3, ended.stderr
-    assert ended.stdout == ""
+    summary = "18 of 24 recordings calibrated, 3 bad_input, 1 killed, 2 refused"
+    assert ended.stdout == f"{summary}\n"
     lines = ended.stderr.splitlines()
-    assert len(lines) == len(many.labels) + 1
-    assert lines[0].startswith("1/24 ")
-    assert lines[-1].startswith("18 of 24 recordings calibrated, 3 bad_input, 1 killed, 2 refused")
+    done = len(many.labels)
+    assert [line.split()[0] for line in lines[:done]] == [f"{k + 1}/24" for k in range(done)]
+    assert {line.split()[1] for line in lines[done:-1]} == {str(path) for path in out.iterdir()}
+    assert lines[-1] == f"partial: {summary}: the reasons are in {out / 'summary.csv'}"
     return out
 
 

@@ -124,12 +124,16 @@ def test_the_command(saved, tmp_path, capsys):
     assert (data["schema"], data["status"], data["tolerance_mm"]) == ("carm-kin/check/1", "passed", 1.0)
     assert data["offset"]["difference_mm"] < data["offset"]["limit_mm"]
     failed = run(capsys, "check", result, bad, "--json", tmp_path / "check.json")
-    assert (failed.status, failed.out) == (3, "")
+    assert failed.status == 3
+    assert failed.out.splitlines()[-1] == "failed: the saved calibration does not hold"
     assert failed.err.splitlines()[-1].startswith("failed: the offset differs by 3.0")
     assert json.loads((tmp_path / "check.json").read_text())["status"] == "failed"
     carm_kin.write_recording(recorded(every=1).select(slice(0, 300)), good)
     refused = run(capsys, "check", result, good)
     assert refused.status == 3
+    assert refused.out.splitlines()[-1].startswith("refused: ")
     assert refused.err.splitlines()[-1].startswith("refused (one_axis_only)")
+    carm_kin.write_recording(recorded(), good)
+    assert run(capsys, "check", result, good).out.splitlines()[-1] == "passed: the saved calibration holds"
     assert "no such file" in fails(capsys, "check", tmp_path / "none.json", good)
     assert "tolerance_m must be" in fails(capsys, "check", result, bad, "--tolerance-mm", 0)

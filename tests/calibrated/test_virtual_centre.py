@@ -395,12 +395,15 @@ def test_the_command(exact, tmp_path, capsys):
     assert len(data["centres_world_mm"]) == len(data["beta_deg"]) == 76
     assert data["turn_deg"] == pytest.approx(150, abs=1)
     moving = run(capsys, "centre", result, bad, "--json", tmp_path / "centre.json")
-    assert (moving.status, moving.out) == (3, "")
+    assert moving.status == 3
+    assert moving.out.splitlines()[-1] == "not fixed: no point of the C-arm stands still"
     assert moving.err.splitlines()[-1].startswith("not fixed: no point stands still: ")
     assert json.loads((tmp_path / "centre.json").read_text())["status"] == "not_fixed"
     refused = run(capsys, "centre", result, none)
     assert refused.status == 3
+    assert refused.out.splitlines()[-1].startswith("refused: ")
     assert refused.err.splitlines()[-1].startswith("refused (too_few_poses)")
+    assert run(capsys, "centre", result, good).out.splitlines()[-1].startswith("fixed: ")
     assert "tolerance_m must be" in fails(capsys, "centre", result, good, "--tolerance-mm", 0)
     assert "no placement 'b'" in fails(capsys, "centre", result, good, "--placement", "b")
     assert "--sigma-t-mm must be" in fails(capsys, "centre", result, good, "--sigma-t-mm", -1)

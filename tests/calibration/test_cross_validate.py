@@ -105,8 +105,8 @@ def test_the_command_writes_it_and_reads_it_back(sweeps, tmp_path, capsys):
     out = tmp_path / "out.json"
     ended = run(capsys, "calibrate", tmp_path / "rec.csv", "--cross-validate", 4, "--json", out)
     assert ended.status == 0
-    assert "held out, overall" in ended.err
-    assert "angles absorb 1.0 of 6" in ended.err
+    assert "held out, overall" in ended.out
+    assert "angles absorb 1.0 of 6" in ended.out
     result = CalibrationResult.from_json(out)
     assert result.to_json() == out.read_text()
     assert result.cross_validation.per_fold[0].sweeps == ("angular +0.0 deg",)

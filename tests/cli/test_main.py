@@ -184,7 +184,8 @@ def test_json_on_stdout_is_alone_there(rec, tmp_path, capsys):
     assert data["major_radius_mm"] == pytest.approx(100, abs=0.3)
     assert "major radius" in ended.err
     ended = run(capsys, "calibrate", rec, "--json", tmp_path / "r.json")
-    assert ended.out == ""
+    assert "major radius" in ended.out
+    assert ended.err == f"written: {tmp_path / 'r.json'}\n"
     result = CalibrationResult.from_json(tmp_path / "r.json")
     assert result.offset_sensor_pivot_m is not None
     assert result.offset_sensor_pivot_m * 1e3 == pytest.approx(data["offset_sensor_pivot_mm"])
@@ -199,9 +200,9 @@ def test_inspect_as_json_is_alone_on_stdout(capsys):
     assert data["isocentric"] is False
     assert [joint["name"] for joint in data["joints"]][-2:] == ["angular", "orbital"]
     ended = run(capsys, "inspect", "mobile_skewed")
-    assert (ended.status, ended.out) == (0, "")
-    assert "60.000 mm (not isocentric)" in ended.err
-    assert "(isocentric)" in run(capsys, "inspect", "mobile_isocentric").err
+    assert (ended.status, ended.err) == (0, "")
+    assert "60.000 mm (not isocentric)" in ended.out
+    assert "(isocentric)" in run(capsys, "inspect", "mobile_isocentric").out
 
 
 def test_inspect_says_what_was_accepted_with_a_remark(tmp_path, capsys):
@@ -221,6 +222,10 @@ def test_a_refusal_is_status_3_and_a_result(orbital_only, capsys):
     last = ended.err.splitlines()[-1]
     assert last.startswith("refused (one_axis_only): no angular motion")
     assert "offset sensor" not in ended.err
+    ended = run(capsys, "calibrate", orbital_only)
+    assert ended.out.splitlines()[0].startswith("refused: solver kinematic, ")
+    assert "offset sensor" not in ended.out
+    assert ended.err.splitlines()[-1] == last
 
 
 def test_no_path_and_no_user_in_a_result(rec, tmp_path, monkeypatch, capsys):
@@ -242,8 +247,8 @@ def test_text_of_a_recording_is_no_markup_and_no_escape_code(tmp_path, capsys):
     carm_kin.write_recording(odd, tmp_path / "rec.csv")
     ended = run(capsys, "calibrate", tmp_path / "rec.csv")
     assert ended.status == 0
-    assert "placement [/]" in ended.err
-    assert "\x1b" not in ended.err
+    assert "placement [/]" in ended.out
+    assert "\x1b" not in ended.out + ended.err
 
 
 def test_simulate_then_calibrate(tmp_path, capsys):
@@ -251,7 +256,8 @@ def test_simulate_then_calibrate(tmp_path, capsys):
     ended = run(capsys, "simulate", "mobile_isocentric", "-o", rec, "--protocol", "minimal", "--sigma-t-mm", "0.2")
     assert (ended.status, ended.out) == (0, "")
     assert "warning (joint_limits_ignored)" in ended.err
-    assert "1440 poses" in ended.err
+    assert f"written: {rec} (1440 poses)" in ended.err
+    assert f"written: {tmp_path / 'a.b.truth.json'} (the truth)" in ended.err
     truth = CalibrationResult.from_json(tmp_path / "a.b.truth.json")
     assert truth.major_radius_m == pytest.approx(0, abs=1e-12)
     assert run(capsys, "calibrate", rec, "--sigma-t-mm", "0.2", "--sigma-r-deg", "0.01").status == 0
@@ -261,11 +267,14 @@ def test_demo_writes_its_files_and_says_where(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("carm_kin.cli.demo.solvers.solver_names", lambda: ("closed_form", "kinematic"))
     folder = tmp_path / "a" / "demo"
     ended = run(capsys, "demo", "-o", folder)
-    assert (ended.status, ended.out) == (0, "")
+    assert ended.status == 0
+    assert "Errors against the truth (mm, deg)" in ended.out
+    assert ended.out.count("offset sensor to rotation centre, x") == 2
     assert {f.name for f in folder.iterdir()} == {
         "recording.csv", "recording.truth.json", "closed_form.json", "kinematic.json",
     }  # fmt: skip
-    assert str(folder) in ended.err
+    for file in folder.iterdir():
+        assert ended.err.count(f"written: {file}") == 1
     assert f"carm-kin calibrate {folder}/recording.csv" in ended.err
     result, truth = (CalibrationResult.from_json(folder / f) for f in ("kinematic.json", "recording.truth.json"))
     assert result.offset_sensor_pivot_m == pytest.approx(truth.offset_sensor_pivot_m, abs=3e-4)
@@ -279,7 +288,8 @@ def test_lines_fit_into_80_columns(arguments, rec, tmp_path, monkeypatch, capsys
     monkeypatch.setenv("COLUMNS", "80")
     monkeypatch.setattr("carm_kin.cli.demo.solvers.solver_names", lambda: ("closed_form", "kinematic"))
     ended = run(capsys, *arguments, *([rec] if arguments == ("calibrate",) else []))
-    assert max(map(len, ended.err.splitlines())) <= 80
+    assert ended.out
+    assert max(map(len, ended.out.splitlines())) <= 80
 
 
 def test_an_interrupt_is_status_130_without_a_traceback(monkeypatch, capsys):

@@ -263,6 +263,6 @@ def test_the_command_writes_the_file(name, result_file, tmp_path, capsys):
     out = tmp_path / "out"
     ended = run(capsys, "export", result_file, "--to", name, "-o", out)
     assert (ended.status, ended.out) == (0, "")
+    assert ended.err == f"written: {out}\n"
     assert out.stat().st_size > 500
-    assert "no folder" not in ended.err
     assert "does not exist" in fails(capsys, "export", result_file, "--to", name, "-o", tmp_path / "no" / "out")

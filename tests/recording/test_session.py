@@ -206,7 +206,7 @@ def test_init_writes_a_session_that_can_be_read(tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("nothing")
     ended = run(capsys, "session", "init", tmp_path)
     assert ended.status == 0
-    assert "3 sweeps" in ended.err
+    assert ended.err == f"written: {tmp_path / 'session.toml'} (3 sweeps; fill in their labels)\n"
     text = (tmp_path / "session.toml").read_text()
     assert 'tracker = "plus"\ntool = "Marker"\n' in text
     recording = read_recording(tmp_path)

@@ -189,9 +189,9 @@ def test_the_command_averages_and_counts(tmp_path, capsys):
     write_recording(recording, tmp_path / "rec.igs.mha")
     ended = run(capsys, "calibrate", tmp_path / "rec.igs.mha", "--stations")
     assert ended.status == 0
-    assert f"{STOPS} of {STOPS} poses" in ended.err
-    assert "not in a stop of the C" in ended.err
-    assert ["stations", str(STOPS)] in [line.split() for line in ended.err.splitlines()]
+    assert f"{STOPS} of {STOPS} poses" in ended.out
+    assert "not in a stop of the C" in ended.out
+    assert ["stations", str(STOPS)] in [line.split() for line in ended.out.splitlines()]
     ended = run(capsys, "convert", tmp_path / "rec.igs.mha", "-o", tmp_path / "rec.csv", "--stations")
     again, whole = read_recording(tmp_path / "rec.csv"), at_stations(read_recording(tmp_path / "rec.igs.mha"))
     assert np.allclose(again.variance, whole.variance, rtol=1e-12)

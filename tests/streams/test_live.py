@@ -486,7 +486,7 @@ def test_an_interrupt_ends_a_capture_well(tmp_path):
         process.send_signal(signal.SIGINT)
         _, err = process.communicate(timeout=20)
     assert process.returncode == 0
-    assert b"5 poses written to" in err
+    assert f"written: {path} (5 poses, 0 frames without a pose)".encode() in err
     assert b"Traceback" not in err
     assert numbers(path) == list(range(5))
 

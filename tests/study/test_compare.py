@@ -178,6 +178,7 @@ def test_the_command_writes_table_json_csv_and_figure(rec, tmp_path, capsys):
         assert float(rows[name]["error_offset_mm"]) == pytest.approx(error, rel=1e-9)
         assert f"{error:.4f}" in ended.err
         assert f"{one['held_out']['translation_rms_mm']:.4f}" in ended.err
+    assert {f"written: {tmp_path / name}" for name in ("c.csv", "c.svg")} <= set(ended.err.splitlines())
     figure = (tmp_path / "c.svg").read_text()
     assert figure.startswith("<?xml")
     assert all(name in figure for name in ("kinematic", "decomposed", "offset less that of the truth"))
@@ -187,15 +188,15 @@ def test_without_a_truth_nothing_is_called_an_error(rec, capsys):
     rec.with_suffix(".truth.json").unlink()
     ended = run(capsys, "compare", rec, "--solvers", "closed_form,direct", "--folds", 0)
     assert ended.status == 0
-    assert "Difference to closed_form" in ended.err
-    assert "Error" not in ended.err
+    assert "Difference to closed_form" in ended.out
+    assert "Error" not in ended.out + ended.err
 
 
 def test_all_poses_are_given_where_that_is_asked_for(simulated, tmp_path, capsys):
     recording, truth = simulated
     carm_kin.write_recording(recording, tmp_path / "whole.csv")
     arguments = ("compare", tmp_path / "whole.csv", "--solvers", "kinematic", "--folds", 0)
-    everything, together = (run(capsys, *arguments, *more).err for more in (["--all-poses"], []))
+    everything, together = (run(capsys, *arguments, *more).out for more in (["--all-poses"], []))
     left_out = int(together.split("; ")[1].split()[0])
     assert len(truth.outliers.indices) <= left_out <= len(truth.outliers.indices) + 7
     assert f"{len(recording)} poses, the same for every solver; 0 left out that disagree" in everything
@@ -207,7 +208,7 @@ def test_a_recording_that_no_solver_can_use_ends_with_status_3(thinned, tmp_path
     carm_kin.write_recording(orbital, tmp_path / "orbital.csv")
     ended = run(capsys, "compare", tmp_path / "orbital.csv", "--solvers", "kinematic,decomposed")
     assert ended.status == 3
-    assert "kinematic: no angular motion" in ended.err
+    assert "kinematic: no angular motion" in ended.out
     assert ended.err.splitlines()[-1] == "refused (no_result): no solver has a result"
 
 
@@ -305,8 +306,9 @@ def test_the_command_makes_a_study(tmp_path, capsys):
         row = rows[one["solver"], "offset RMS, mm"]
         assert float(row["value"]) == one["offset_rms_mm"]
         assert [float(row["low_95"]), float(row["high_95"])] == one["offset_rms_95_mm"]
-        assert f"{one['offset_rms_mm']:.3g} [" in ended.err
-    assert "direct / decomposed" in ended.err
+        assert f"{one['offset_rms_mm']:.3g} [" in ended.out
+    assert "direct / decomposed" in ended.out
+    assert {f"written: {place}" for place in places[1::2]} <= set(ended.err.splitlines())
     assert (tmp_path / "s.svg").read_text().startswith("<?xml")
 
 

@@ -19,6 +19,7 @@ from carm_kin.recording.checks import repeated
 from carm_kin.recording.formats import RecordingLike, as_recordings
 from carm_kin.recording.recording import Recording
 from carm_kin.results.result import CalibrationResult
+from carm_kin.steps import step
 from solvers.chain.chain import ChainEstimate, Free, Options, solve_chain
 from solvers.chain.problem import ChainProblem
 from solvers.chain.start import start_of
@@ -135,6 +136,7 @@ def _repeated(recording: Recording, model: ChainModel) -> np.ndarray:
     return again
 
 
+@step("solve by chain")
 def fit(problem: ChainProblem, model: ChainModel, free: Free, options: Options) -> ChainEstimate | Note:
     """The calibrated machine, or why there is none. Joints that stand still in all poses keep their numbers."""
     start = start_of(problem, model.machine, [model.axes(s) for s in range(len(model.chains))])
@@ -149,6 +151,7 @@ def fit(problem: ChainProblem, model: ChainModel, free: Free, options: Options) 
         return Note("unobservable", "the poses determine no machine: the equations are singular")
 
 
+@step("fit the nominal URDF")
 def nominal_fit(problem: ChainProblem, model: ChainModel, estimate: ChainEstimate) -> ChainEstimate:
     """The URDF's own machine, base and mounts fitted to the same poses with the same noise as the ``estimate``."""
     machine = estimate.machine

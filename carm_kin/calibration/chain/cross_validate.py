@@ -9,6 +9,7 @@ from carm_kin.calibration.chain.model import ChainModel
 from carm_kin.calibration.cross_validate import fold_of_poses, nothing_left
 from carm_kin.recording.recording import Recording
 from carm_kin.results.held_out import CrossValidation, Errors, HeldOut, overall_of, row_of
+from carm_kin.steps import step
 from solvers.chain.chain import ChainEstimate, Free, Options, residuals, solve_chain
 from solvers.chain.problem import ORIENTATIONS, POSITIONS, ChainProblem
 from solvers.chain.start import fit_values
@@ -18,6 +19,7 @@ STEPS = 6
 """Gauss-Newton steps for the unknown joint values of the held-out poses."""
 
 
+@step("predict the held-out parts")
 def cross_validate_chain(
     recordings: Sequence[Recording],
     problem: ChainProblem,

@@ -25,6 +25,7 @@ from carm_kin.recording.formats._format import Format
 from carm_kin.recording.ingest import applied, ingest
 from carm_kin.recording.raw import Raw
 from carm_kin.recording.recording import Recording
+from carm_kin.steps import step
 
 HEAD = 65536
 """Bytes of a file by which its format is told."""
@@ -73,7 +74,13 @@ def read_recording(
     if not isinstance(path, (str, os.PathLike)):
         hint = "Recording.from_poses(T) makes one of poses (N, 4, 4)" if hasattr(path, "shape") else ""
         raise wrong_type(path, "a recording (a Recording, or the path of its file)", hint)
-    path = Path(path)
+    with step(f"read {path}") as found:
+        recording = _read(Path(path), format, declared)
+        found(f"{len(recording)} poses")
+    return recording
+
+
+def _read(path: Path, format: str | None, declared: Declarations) -> Recording:
     chosen = _named(path, format) if format else format_of(path)
     if path.is_dir() and not (chosen and chosen.matches(path, b"")):
         raw, name = _folder.read(path, (lambda file: chosen) if chosen else format_of, declared)

@@ -286,7 +286,8 @@ def test_convert_counts_and_writes(tmp_path, capsys):
     path = written(sample, tmp_path, content)
     ended = run(capsys, "convert", path, "-o", tmp_path / "rec.csv")
     assert ended.status == 0
-    assert re.search(r"frames +30 \(ndi, Port 2: Marker s/n:1A2B\)\n +kept +29\n +MISSING +1\n", ended.err), ended.err
+    assert re.search(r"frames +30 \(ndi, Port 2: Marker s/n:1A2B\)\n +kept +29\n +MISSING +1\n", ended.out), ended.out
+    assert ended.err == f"written: {tmp_path / 'rec.csv'} (29 poses)\n"
     assert_poses(carm_kin.read_recording(tmp_path / "rec.csv"), np.arange(N) != 3)
     ended = run(capsys, "convert", tmp_path / "rec.csv", "-o", tmp_path / "rec.mha")
     assert "warning" not in ended.err
@@ -328,7 +329,7 @@ def test_formats_lists_every_format(capsys):
     assert ended.status == 0
     for name, format in formats().items():
         assert re.search(
-            rf"^ +{name} +read{', write' if format.write else ''} +{re.escape(format.summary)}$", ended.err, re.M
+            rf"^ +{name} +read{', write' if format.write else ''} +{re.escape(format.summary)}$", ended.out, re.M
         )
 
 
