@@ -80,7 +80,7 @@ class Check:
         """What `carm-kin check` prints."""
         verdicts = {"passed": "passed: the saved calibration holds", "failed": f"failed: {'; '.join(self.failures)}"}
         last = () if self.refusal else (verdicts[self.status],)
-        return "\n".join((text_of(check_lines(self), self.refusal), *map(printable, last)))
+        return "\n".join((text_of(check_lines(self), self.warnings, self.refusal), *map(printable, last)))
 
     def __repr__(self) -> str:
         """One line."""

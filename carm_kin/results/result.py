@@ -94,7 +94,7 @@ class CalibrationResult:
 
     def __str__(self) -> str:
         """What `carm-kin calibrate` prints."""
-        return text_of(result_lines(self), self.refusal)
+        return text_of(result_lines(self), self.warnings, self.refusal)
 
     def __repr__(self) -> str:
         """One line."""

@@ -92,7 +92,7 @@ class VirtualCentre:
 
     def __str__(self) -> str:
         """What `carm-kin centre` prints."""
-        words = text_of(centre_lines(self), self.refusal)
+        words = text_of(centre_lines(self), self.warnings, self.refusal)
         if self.status == "fixed":
             return f"{words}\nfixed: one point of the C-arm stands still"
         if self.refusal or not self.spread:
