@@ -4,13 +4,14 @@ import inspect as introspection
 import json
 from math import inf
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from carm_kin.calibration.calibrate import calibrate
 from carm_kin.errors import InputError
-from carm_kin.recording.recording import Recording
+
+if TYPE_CHECKING:
+    from carm_kin.recording.recording import Recording
 
 Urdf = Annotated[str, typer.Argument(help="A URDF file or the name of a bundled machine.")]
 AsJson = Annotated[str | None, typer.Option("--json", help="Write the result here; - for stdout.")]
@@ -39,7 +40,7 @@ def above_zero(option: str, value: float | None, unit: float) -> float | None:
 
 
 def joint_names(
-    recording: Recording,
+    recording: "Recording",
     urdf: str | None,
     sensor_link: str | None,
     angular: str | None,
@@ -68,6 +69,8 @@ def joint_names(
 
 def options(pairs: list[str]) -> dict[str, Any]:
     """``NAME=VALUE`` pairs; a value is JSON where it can be (true, 0.05, null), else text."""
+    from carm_kin.calibration.calibrate import calibrate
+
     found: dict[str, Any] = {}
     for pair in pairs:
         name, equals, text = pair.partition("=")

@@ -4,7 +4,7 @@ import sys
 from dataclasses import replace
 from math import radians
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,8 +17,10 @@ from carm_kin.cli.reading import How, reading_options
 from carm_kin.cli.report import ReportOptions, report_options
 from carm_kin.cli.terminal import Stderr
 from carm_kin.errors import InputError, RefusedError
-from carm_kin.recording.recording import Recording
-from carm_kin.results.result import CalibrationResult
+
+if TYPE_CHECKING:
+    from carm_kin.recording.recording import Recording
+    from carm_kin.results.result import CalibrationResult
 
 
 def register(app: typer.Typer) -> None:
@@ -83,7 +85,7 @@ def calibrate(
         raise RefusedError(result.refusal.code, result.refusal.message)
 
 
-def _only_one(recordings: list[Recording], chain: ChainOptions) -> Recording:
+def _only_one(recordings: "list[Recording]", chain: ChainOptions) -> "Recording":
     """The recording of a two-axis calibration, which has no options of a chain."""
     if chain.given or len(recordings) > 1:
         what = ", ".join(chain.given) or "several recordings"
@@ -92,8 +94,8 @@ def _only_one(recordings: list[Recording], chain: ChainOptions) -> Recording:
 
 
 def _two_axes(
-    recording: Recording, solver: str | None, folds: int | None, settings: dict[str, Any]
-) -> CalibrationResult:
+    recording: "Recording", solver: str | None, folds: int | None, settings: dict[str, Any]
+) -> "CalibrationResult":
     """The calibration, with its held-out check where that was asked for."""
     result = carm_kin.calibrate(recording, solver, **settings)
     if folds is None or result.refusal:

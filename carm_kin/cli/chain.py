@@ -4,14 +4,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import inf, radians
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from carm_kin.cli.arguments import writable
 from carm_kin.errors import InputError
-from carm_kin.recording.recording import Recording
-from carm_kin.results.result import CalibrationResult
+
+if TYPE_CHECKING:
+    from carm_kin.recording.recording import Recording
+    from carm_kin.results.result import CalibrationResult
 
 PANEL = "Calibration of the whole chain, with --urdf"
 
@@ -70,11 +72,11 @@ def chain_options(
 
 def calibrate_with(
     chain: ChainOptions,
-    recordings: Sequence[Recording],
+    recordings: "Sequence[Recording]",
     urdf: str,
     settings: Mapping[str, Any],
     options: Mapping[str, Any],
-) -> CalibrationResult:
+) -> "CalibrationResult":
     """The result of the chain's calibration; the calibrated URDF is written where it was asked for and not refused.
 
     ``settings`` are those of the command itself and ``options`` those of ``--option``. Raises InputError where an

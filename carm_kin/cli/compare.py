@@ -8,21 +8,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
 import carm_kin
-from carm_kin.calibration.settings import Settings
 from carm_kin.cli.arguments import writable
 from carm_kin.cli.options import grouped
 from carm_kin.cli.terminal import Stderr, to_stdout
 from carm_kin.errors import InputError, RefusedError
 from carm_kin.files import write_atomically
-from carm_kin.recording.recording import Recording
-from carm_kin.results.provenance import command_line
-from carm_kin.results.result import CalibrationResult
-from carm_kin.results.rows import Cell, csv_text
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
+    from carm_kin.calibration.settings import Settings
+    from carm_kin.recording.recording import Recording
+    from carm_kin.results.result import CalibrationResult
+    from carm_kin.results.rows import Cell
     from carm_kin.study.compare import Comparison
     from carm_kin.study.monte_carlo_result import Study
 
@@ -112,6 +112,8 @@ def compare(
     ] = False,
 ) -> None:
     """Compare the solvers on the same poses: offset, radii, axes, residuals, held-out errors, time."""
+    from carm_kin.calibration.settings import Settings
+
     names = [name.strip() for name in solvers.split(",")] if solvers else None
     settings = Settings(urdf=urdf, angular=angular, orbital=orbital, sensor_link=sensor_link)
     if simulation.repeat is not None:
@@ -127,12 +129,13 @@ def compare(
 def _recording(
     path: Path,
     names: Sequence[str] | None,
-    settings: Settings,
+    settings: "Settings",
     truth: Path | None,
     folds: int,
     all_poses: bool,
     output: Outputs,
 ) -> None:
+    from carm_kin.results.provenance import command_line
     from carm_kin.study import compare_figures, compare_view
     from carm_kin.study.compare import agreement
     from carm_kin.study.compare import compare as compared
@@ -170,7 +173,7 @@ def _recording(
         raise RefusedError("no_result", "no solver has a result")
 
 
-def _report(found: "Comparison", recording: Recording, truth: CalibrationResult | None, page: Path) -> None:
+def _report(found: "Comparison", recording: "Recording", truth: "CalibrationResult | None", page: Path) -> None:
     """The page of the first solver that draws the machine, the others compared on it."""
     from carm_kin.report import write_report
 
@@ -180,9 +183,10 @@ def _report(found: "Comparison", recording: Recording, truth: CalibrationResult 
         write_report(first, recording, page, compared=results, truth=truth)
 
 
-def _study(simulation: Simulated, names: Sequence[str], settings: Settings, output: Outputs) -> None:
+def _study(simulation: Simulated, names: Sequence[str], settings: "Settings", output: Outputs) -> None:
     from carm_kin.batches.local_workers import LocalWorkers
     from carm_kin.cli.progress import progress
+    from carm_kin.results.provenance import command_line
     from carm_kin.study import compare_figures
     from carm_kin.study import monte_carlo_view as study_view
     from carm_kin.study.monte_carlo import Simulation, study
@@ -218,13 +222,15 @@ def _study(simulation: Simulated, names: Sequence[str], settings: Settings, outp
             console.print(f"{one.solver}: {one.refused} of {one.runs} without a result: {one.first_reason}")
 
 
-def _deliver(found: "Comparison | Study", rows: list[dict[str, Cell]], draw: Any, output: Outputs) -> None:
+def _deliver(found: "Comparison | Study", rows: "list[dict[str, Cell]]", draw: Any, output: Outputs) -> None:
     """Write what was asked for."""
     if output.json == "-":
         to_stdout(found.to_json())
     elif output.json is not None:
         found.to_json(output.json)
     if output.csv is not None:
+        from carm_kin.results.rows import csv_text
+
         write_atomically(output.csv, csv_text(rows))
     if output.figure is not None:
         from carm_kin.report.static import save
@@ -232,6 +238,6 @@ def _deliver(found: "Comparison | Study", rows: list[dict[str, Cell]], draw: Any
         save(draw(), output.figure)
 
 
-def _show(console: Stderr, tables: Sequence[Table]) -> None:
+def _show(console: Stderr, tables: "Sequence[Table]") -> None:
     for table in tables:
         console.print(table)

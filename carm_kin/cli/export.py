@@ -7,7 +7,6 @@ import typer
 
 from carm_kin.cli.arguments import writable
 from carm_kin.cli.terminal import Stderr
-from carm_kin.results.result import CalibrationResult
 
 
 def export(
@@ -24,6 +23,7 @@ def export(
 ) -> None:
     """Write a calibration for another program; a refused one is not exported (status 3)."""
     from carm_kin.exports import Wanted, export_result
+    from carm_kin.results.result import CalibrationResult
 
     wanted = Wanted(transform, placement, parent_frame, child_frame, urdf)
     export_result(CalibrationResult.from_json(result), to, writable(out), wanted)

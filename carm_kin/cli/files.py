@@ -1,7 +1,7 @@
 """Commands about files of recordings: which formats there are, and from one to another."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -9,7 +9,9 @@ from carm_kin.cli.arguments import writable
 from carm_kin.cli.options import grouped
 from carm_kin.cli.reading import How, reading_options
 from carm_kin.cli.terminal import Stderr
-from carm_kin.recording.recording import Recording
+
+if TYPE_CHECKING:
+    from carm_kin.recording.recording import Recording
 
 _PARTS = ("time_s", "sweep", "moving", "placement", "joints", "metadata", "variance")
 """Of a recording, beyond the poses."""
@@ -67,7 +69,7 @@ def init(folder: Annotated[Path, typer.Argument(help="The folder of the tracker'
     Stderr().print(f"{sweeps} sweeps written to {path}; fill in their labels", soft_wrap=True)
 
 
-def _held(recording: Recording) -> list[str]:
+def _held(recording: "Recording") -> list[str]:
     """The parts that the recording has."""
     values = {part: getattr(recording, part) for part in _PARTS}
     return [part for part, value in values.items() if value is not None and len(value)]

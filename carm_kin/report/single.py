@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 
-import carm_kin
 from carm_kin.recording.recording import Recording
 from carm_kin.report import words
 from carm_kin.report.charts import charts
@@ -18,6 +17,7 @@ from carm_kin.report.scene import scene
 from carm_kin.results.chain_result import ChainCalibration
 from carm_kin.results.held_out import HeldOut
 from carm_kin.results.result import CalibrationResult
+from carm_kin.version import __version__
 
 MOST_LISTED = 60
 """Numbers of poses that are written out."""
@@ -42,7 +42,7 @@ def write_report(
         "report.html",
         Path(out),
         title=f"C-arm calibration: {result.provenance.input_name or result.status}",
-        version=carm_kin.__version__,
+        version=__version__,
         subject=result.provenance.input_name,
         result=result,
         verdict=words.verdict(result),

@@ -9,7 +9,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-import carm_kin
 from carm_kin.report.colours import SERIES
 from carm_kin.report.comparison import MOST_LETTERS, MOST_NAMES, offsets_chart
 from carm_kin.report.marks import Axis, Chart, Panel, Points
@@ -17,6 +16,7 @@ from carm_kin.report.page import write_page
 from carm_kin.report.poses import short
 from carm_kin.report.words import number, with_sigma
 from carm_kin.results.result import CalibrationResult
+from carm_kin.version import __version__
 
 HEAD = (
     "recording",
@@ -60,7 +60,7 @@ def write_summary(
         "summary.html",
         Path(out),
         title=title,
-        version=carm_kin.__version__,
+        version=__version__,
         count=len(results),
         refused=sum(result.refusal is not None for result in results.values()),
         charts=_charts(drawn),
