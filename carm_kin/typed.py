@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, fields
-from math import isfinite
+from math import inf, isfinite
 from numbers import Integral, Real
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -62,6 +62,15 @@ def check_names(known: list[str], required: list[str], values: Mapping[str, Any]
     for name in required:
         if name not in values:
             raise InputError(f"{place}: '{name}' is missing; needed are {', '.join(required)}")
+
+
+def above_zero(named: str, value: float | None, unit: float) -> float | None:
+    """A value times its ``unit``. Raises InputError where it is not a finite number above 0."""
+    if value is None:
+        return None
+    if not 0 < value < inf:
+        raise InputError(f"{named} must be a finite number above 0, not {value}; leave it out if it is not known")
+    return value * unit
 
 
 def _fits(kind: Any, value: Any) -> bool:

@@ -9,7 +9,6 @@ leave of them. A pose farther off than `OUTLIER_PROBABILITY` allows is given no 
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from solvers.estimate import Estimate, Note
 from solvers.likelihood.covariance import active_unknowns, covariance_of, marginal_covariance
@@ -25,6 +24,8 @@ SIGMA_FLOOR = 1e-7
 """Least noise assumed, m and rad: well below any tracker's resolution, far above rounding."""
 OUTLIER_PROBABILITY = 1e-5
 """Share of sound poses that the noise alone sends beyond the bound: 5.3 to 5.9 sigma, by degrees of freedom."""
+OUTLIER_BOUND = np.array([33.107056816829, 30.856189940435904, 28.473255424006034])
+"""The chi-square that is exceeded with that probability, at 6, 5 and 4 degrees of freedom."""
 LEAST_CHANGE = 0.1
 """Ratio of a variance to the one before below which both are taken from their own residuals alone."""
 COARSE = 1000
@@ -118,7 +119,7 @@ def refine(
     model = AngleModel.of(problem)
     active = active_unknowns(problem, fix_non_orthogonality)
     used = np.ones(len(problem), dtype=bool) if used is None else used
-    bound = chdtri(6 - model.free.sum(axis=0), OUTLIER_PROBABILITY) if options.reject_outliers else np.inf
+    bound = OUTLIER_BOUND[model.free.sum(axis=0)] if options.reject_outliers else np.inf
     angles = model.start(torus, problem, used)
     sigma = sigma_given or first_sigma(problem, torus, angles, used)
     at = normal_equations(torus, angles, problem, model, sigma, used)

@@ -1,17 +1,65 @@
-"""What imports what, what prints and what exits, read from the source without running it."""
+"""The plan of the house: what imports what, what prints and what exits, read from the source without running it."""
 
 import ast
+import os
+import re
+import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
 
-from helpers.places import ROOT
+from helpers.places import ROOT, pythonpath
 
 SOLVERS = sorted((ROOT / "solvers").rglob("*.py"))
 CARM_KIN = sorted((ROOT / "carm_kin").rglob("*.py"))
 STANDARD = set(sys.stdlib_module_names)
 MOST_LINES = 400
+
+GROUND = ("carm_kin.errors", "carm_kin.files", "carm_kin.typed", "carm_kin.version")
+"""Root files of carm_kin that are one room, the lowest, in `PLAN`; every other root file is a room of its own."""
+PLAN = {
+    "carm_kin.__main__": "cli",
+    "cli": "carm_kin batches calibrated calibration exports ground machine recording report results simulation streams "
+    "study solvers solvers.se3",
+    "carm_kin": "calibrated calibration ground recording results simulation",
+    "study": "batches calibration ground recording report results simulation "
+    "solvers solvers.estimate solvers.likelihood solvers.nearest solvers.problem solvers.se3 solvers.torus",
+    "batches": "calibration ground machine recording results",
+    "streams": "calibration ground recording results solvers.se3",
+    "report": "calibration ground recording results "
+    "solvers.kinematic solvers.likelihood solvers.problem solvers.se3 solvers.torus",
+    "exports": "calibration ground machine results solvers.se3",
+    "calibrated": "calibration ground machine recording results solvers.estimate solvers.kinematic solvers.likelihood "
+    "solvers.nearest solvers.problem solvers.se3 solvers.still_point solvers.torus",
+    "calibration": "ground machine recording results solvers solvers.chain solvers.estimate solvers.kinematic "
+    "solvers.likelihood solvers.problem solvers.se3 solvers.torus solvers.verdict",
+    "simulation": "ground machine recording results solvers.estimate solvers.problem solvers.se3 solvers.torus",
+    "results": "ground recording solvers.estimate solvers.likelihood solvers.se3",
+    "recording": "ground solvers.estimate solvers.problem solvers.se3",
+    "machine": "ground solvers.se3",
+    "ground": "",
+    "solvers": "solvers.estimate solvers.problem solvers.torus",
+    "solvers.verdict": "solvers.chain solvers.estimate solvers.kinematic solvers.likelihood solvers.problem "
+    "solvers.se3 solvers.start solvers.torus",
+    "solvers.chain": "solvers.estimate solvers.kinematic solvers.problem solvers.se3 solvers.torus",
+    "solvers.kinematic": "solvers.estimate solvers.likelihood solvers.problem solvers.se3 solvers.start solvers.torus",
+    "solvers.closed_form": "solvers.estimate solvers.problem solvers.start",
+    "solvers.direct": "solvers.decomposed solvers.estimate solvers.loci solvers.problem solvers.se3 solvers.start",
+    "solvers.decomposed": "solvers.estimate solvers.problem solvers.se3 solvers.start solvers.torus",
+    "solvers.surface": "solvers.estimate solvers.likelihood solvers.problem solvers.se3 solvers.torus",
+    "solvers.loci": "solvers.estimate solvers.problem solvers.se3 solvers.start solvers.torus",
+    "solvers.start": "solvers.problem solvers.se3 solvers.torus",
+    "solvers.still_point": "solvers.likelihood solvers.problem solvers.se3",
+    "solvers.nearest": "solvers.problem solvers.se3 solvers.torus",
+    "solvers.likelihood": "solvers.estimate solvers.problem solvers.se3 solvers.torus",
+    "solvers.estimate": "solvers.se3 solvers.torus",
+    "solvers.torus": "solvers.problem solvers.se3",
+    "solvers.problem": "solvers.se3",
+    "solvers.se3": "",
+}
+"""Which rooms a room imports; every one stands below it. The rooms of carm_kin stand without its name."""
 
 
 def every(files: list[Path]):
@@ -47,6 +95,37 @@ def calls(path: Path) -> list[tuple[str, int]]:
     return [(name_of(node.func), node.lineno) for node in ast.walk(tree(path)) if isinstance(node, ast.Call)]
 
 
+def module_of(path: Path) -> str:
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+
+
+MODULES = {module_of(path): path for path in (*SOLVERS, *CARM_KIN)}
+
+
+def room_of(module: str) -> str:
+    """The room of a module, as `PLAN` names it."""
+    package, *rest = module.split(".")
+    if module in GROUND:
+        return "ground"
+    is_room = bool(rest) and (ROOT / package / rest[0]).is_dir()
+    return rest[0] if package == "carm_kin" and is_room else ".".join([package, *rest[:1]])
+
+
+def imported_modules(path: Path) -> set[str]:
+    """Modules of the project that a file imports, wherever in it, also for type checkers alone."""
+    found = {name for name in imports(path) if name in MODULES}
+    for node in ast.walk(tree(path)):
+        if isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path} imports relatively"
+            submodules = {f"{node.module}.{alias.name}" for alias in node.names} & {*MODULES}
+            names_beside = len(submodules) < len(node.names)
+            found = (found if names_beside or not submodules else found - {node.module or ""}) | submodules
+    return found - {module_of(path)}
+
+
+IMPORTED = {module: imported_modules(path) for module, path in MODULES.items()}
+
+
 def test_there_is_something_to_look_at():
     assert len(SOLVERS) > 10
     assert len(CARM_KIN) > 10
@@ -58,6 +137,61 @@ def test_there_is_something_to_look_at():
 def test_solvers_import_only_mathematics(path):
     roots = {name.split(".")[0] for name in imports(path)}
     assert roots - STANDARD <= {"numpy", "scipy", "casadi", "solvers"}
+
+
+def test_rooms_import_only_what_the_plan_says():
+    arrows = [(module, other) for module, others in IMPORTED.items() for other in sorted(others)]
+    crossing = [(module, other) for module, other in arrows if room_of(module) != room_of(other)]
+    assert len(crossing) > 300
+    assert [(m, other) for m, other in crossing if room_of(other) not in PLAN.get(room_of(m), "").split()] == []
+
+
+def test_the_plan_has_every_room_and_no_arrow_too_many():
+    arrows = {(room_of(module), room_of(other)) for module, others in IMPORTED.items() for other in others}
+    assert {*PLAN} == {room_of(module) for module in MODULES}
+    assert {(room, other) for room, others in PLAN.items() for other in others.split()} <= arrows
+
+
+def test_the_plan_has_floors():
+    """A room stands above all that it imports: no circle of rooms."""
+    order = [*TopologicalSorter({room: others.split() for room, others in PLAN.items()}).static_order()]
+    assert {*order} == {*PLAN}
+
+
+def test_no_circle_between_files():
+    assert len([*TopologicalSorter(IMPORTED).static_order()]) == len(MODULES)
+
+
+def test_only_the_command_imports_the_names_for_python():
+    assert {room_of(module) for module, others in IMPORTED.items() if "carm_kin" in others} == {"cli"}
+
+
+FOLDERS = sorted({path.parent for path in (*SOLVERS, *CARM_KIN)})
+
+
+@every(FOLDERS)
+def test_every_room_says_what_lives_there(path):
+    assert len(ast.get_docstring(tree(path / "__init__.py")) or "") > 40
+
+
+def test_the_page_has_every_room():
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    rooms = {f"{path.relative_to(ROOT)}/" for path in FOLDERS if path.parent in (ROOT / "carm_kin", ROOT / "solvers")}
+    assert rooms == {*re.findall(r"^\| `((?:carm_kin|solvers)/\w+/)` \|", page, flags=re.MULTILINE)}
+
+
+def test_the_page_names_files_that_there_are():
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    named = re.findall(r"`((?:carm_kin|solvers|docs|tools|tests|urdf|benchmarks)/[\w./]*)`", page)
+    assert len(named) > 40
+    assert [name for name in named if not (ROOT / name).exists()] == []
+
+
+def test_the_drawing_is_that_of_the_imports(tmp_path):
+    """Made anew by `python tools/draw_architecture.py docs/architecture.svg`."""
+    command = [sys.executable, ROOT / "tools" / "draw_architecture.py", tmp_path / "architecture.svg"]
+    subprocess.run(command, check=True, env={**os.environ, "PYTHONPATH": pythonpath()}, timeout=60)
+    assert (tmp_path / "architecture.svg").read_bytes() == (ROOT / "docs" / "architecture.svg").read_bytes()
 
 
 @every(CARM_KIN)

@@ -8,7 +8,6 @@ circle while the C turns, so that another point v of the C-arm frame stands stil
 from dataclasses import replace
 
 import numpy as np
-from scipy.special import chdtrc
 
 from carm_kin.calibrated.check import taken_as_exact
 from carm_kin.calibrated.rotation_centre import chain_at, noise_of
@@ -135,6 +134,8 @@ def _found(
     blank: VirtualCentre, scan: Recording, torus: Torus, sigma: tuple[float, float], covariance: Covariance | None
 ) -> VirtualCentre:
     """The centre of the used poses, fixed or not."""
+    from scipy.special import chdtrc
+
     T_world_carm = scan.T_world_sensor @ torus.T_sensor_carm
     problem = Problem.of_poses(scan.p_world_sensor, scan.R_world_sensor)
     point = still_point(problem, torus.T_sensor_carm, sigma)

@@ -14,6 +14,7 @@ from carm_kin.calibration.options import options_of
 from carm_kin.errors import InputError
 from carm_kin.recording.recording import Recording
 from carm_kin.results.provenance import command_line
+from carm_kin.typed import above_zero
 
 CHAIN = "chain"
 """The solver of a URDF's whole chain."""
@@ -150,12 +151,3 @@ OF_CHAIN = ("free", "zeros", "gains", "sigma_reading_deg", "sigma_reading_mm")
 def only_with_chain(what: str) -> InputError:
     """The error of what a two-axis calibration does not have."""
     return InputError(f"{what}: needs the calibration of a chain, a urdf without another solver")
-
-
-def above_zero(named: str, value: float | None, unit: float) -> float | None:
-    """A value that was given in a ``unit``, in m or rad. Raises InputError where it is not a finite number above 0."""
-    if value is None:
-        return None
-    if not 0 < value < inf:
-        raise InputError(f"{named} must be a finite number above 0, not {value}; leave it out if it is not known")
-    return value * unit

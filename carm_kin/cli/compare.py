@@ -8,22 +8,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
 
 import carm_kin
-from carm_kin.calibration.settings import Settings
 from carm_kin.cli.arguments import writable
 from carm_kin.cli.options import grouped
 from carm_kin.cli.output import check_place, deliver, results, written
 from carm_kin.cli.terminal import Stderr
 from carm_kin.errors import InputError, RefusedError
 from carm_kin.files import write_atomically
-from carm_kin.recording.recording import Recording
-from carm_kin.results.provenance import command_line
-from carm_kin.results.result import CalibrationResult
-from carm_kin.results.rows import Cell, csv_text
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
+    from carm_kin.calibration.settings import Settings
+    from carm_kin.recording.recording import Recording
+    from carm_kin.results.result import CalibrationResult
+    from carm_kin.results.rows import Cell
     from carm_kin.study.compare import Comparison
     from carm_kin.study.monte_carlo_result import Study
 
@@ -76,7 +76,7 @@ class Outputs:
     figure: Path | None
     report: Path | None
 
-    def console(self) -> Console:
+    def console(self) -> "Console":
         """Where the tables are read."""
         return results(self.json, self.csv, self.report)
 
@@ -116,6 +116,8 @@ def compare(
     ] = False,
 ) -> None:
     """Compare the solvers on the same poses: offset, radii, axes, residuals, held-out errors, time."""
+    from carm_kin.calibration.settings import Settings
+
     names = [name.strip() for name in solvers.split(",")] if solvers else None
     settings = Settings(urdf=urdf, angular=angular, orbital=orbital, sensor_link=sensor_link)
     if simulation.repeat is not None:
@@ -131,12 +133,13 @@ def compare(
 def _recording(
     path: Path,
     names: Sequence[str] | None,
-    settings: Settings,
+    settings: "Settings",
     truth: Path | None,
     folds: int,
     all_poses: bool,
     output: Outputs,
 ) -> None:
+    from carm_kin.results.provenance import command_line
     from carm_kin.study import compare_figures, compare_view
     from carm_kin.study.compare import agreement
     from carm_kin.study.compare import compare as compared
@@ -175,7 +178,7 @@ def _recording(
         raise RefusedError("no_result", "no solver has a result")
 
 
-def _report(found: "Comparison", recording: Recording, truth: CalibrationResult | None, page: Path) -> None:
+def _report(found: "Comparison", recording: "Recording", truth: "CalibrationResult | None", page: Path) -> None:
     """The page of the first solver that draws the machine, the others compared on it."""
     from carm_kin.report import write_report
 
@@ -186,9 +189,10 @@ def _report(found: "Comparison", recording: Recording, truth: CalibrationResult 
         written(page)
 
 
-def _study(simulation: Simulated, names: Sequence[str], settings: Settings, output: Outputs) -> None:
+def _study(simulation: Simulated, names: Sequence[str], settings: "Settings", output: Outputs) -> None:
     from carm_kin.batches.local_workers import LocalWorkers
     from carm_kin.cli.progress import progress
+    from carm_kin.results.provenance import command_line
     from carm_kin.study import compare_figures
     from carm_kin.study import monte_carlo_view as study_view
     from carm_kin.study.monte_carlo import Simulation, study
@@ -227,10 +231,12 @@ def _study(simulation: Simulated, names: Sequence[str], settings: Settings, outp
             )
 
 
-def _deliver(found: "Comparison | Study", rows: list[dict[str, Cell]], draw: Any, output: Outputs) -> None:
+def _deliver(found: "Comparison | Study", rows: "list[dict[str, Cell]]", draw: Any, output: Outputs) -> None:
     """Write what was asked for."""
     deliver(found, output.json)
     if output.csv is not None:
+        from carm_kin.results.rows import csv_text
+
         write_atomically(output.csv, csv_text(rows))
         written(output.csv)
     if output.figure is not None:

@@ -1,7 +1,7 @@
 """Commands about files of recordings: which formats there are, and from one to another."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -11,7 +11,9 @@ from carm_kin.cli.options import grouped
 from carm_kin.cli.output import results, warn, written
 from carm_kin.cli.reading import How, reading_options
 from carm_kin.cli.terminal import Stderr, Stdout
-from carm_kin.recording.recording import Recording
+
+if TYPE_CHECKING:
+    from carm_kin.recording.recording import Recording
 
 _PARTS = ("time_s", "sweep", "moving", "placement", "joints", "metadata", "variance")
 """Of a recording, beyond the poses."""
@@ -65,7 +67,7 @@ def init(folder: Annotated[Path, typer.Argument(help="The folder of the tracker'
     written(path, f"{sweeps} sweeps; fill in their labels")
 
 
-def _held(recording: Recording) -> list[str]:
+def _held(recording: "Recording") -> list[str]:
     """The parts that the recording has."""
     values = {part: getattr(recording, part) for part in _PARTS}
     return [part for part, value in values.items() if value is not None and len(value)]

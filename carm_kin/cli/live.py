@@ -8,13 +8,13 @@ from typing import Annotated
 import typer
 
 import carm_kin
-from carm_kin.calibration.settings import above_zero
 from carm_kin.cli.arguments import writable
 from carm_kin.cli.output import written
 from carm_kin.cli.terminal import Stderr
 from carm_kin.errors import RefusedError
 from carm_kin.streams.marks import Marks
 from carm_kin.streams.openigtlink import PORT
+from carm_kin.typed import above_zero
 
 
 def register(app: typer.Typer) -> None:

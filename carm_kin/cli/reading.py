@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from carm_kin.recording.declarations import Declarations
-from carm_kin.recording.recording import Recording
+
+if TYPE_CHECKING:
+    from carm_kin.recording.recording import Recording
 
 PANEL = "How the file is read"
 
@@ -20,7 +22,7 @@ class How:
     declared: Declarations
     stations: bool
 
-    def read(self, path: Path) -> Recording:
+    def read(self, path: Path) -> "Recording":
         """The recording in a file, a folder or a session."""
         from carm_kin.recording.formats import read_recording
 

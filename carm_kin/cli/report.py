@@ -3,15 +3,17 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from carm_kin.cli.arguments import writable
 from carm_kin.cli.output import written
 from carm_kin.errors import InputError
-from carm_kin.recording.recording import Recording
-from carm_kin.results.result import CalibrationResult
+
+if TYPE_CHECKING:
+    from carm_kin.recording.recording import Recording
+    from carm_kin.results.result import CalibrationResult
 
 
 @dataclass(frozen=True)
@@ -30,11 +32,11 @@ class ReportOptions:
 
     def write(
         self,
-        result: CalibrationResult,
-        recordings: Sequence[Recording],
+        result: "CalibrationResult",
+        recordings: "Sequence[Recording]",
         joints: tuple[str, str] = ("angular", "orbital"),
-        compared: Mapping[str, CalibrationResult] | None = None,
-        truth: CalibrationResult | None = None,
+        compared: "Mapping[str, CalibrationResult] | None" = None,
+        truth: "CalibrationResult | None" = None,
     ) -> None:
         """Write what was asked for; ``joints`` are the names of the two axes in the recordings."""
         if self.page is None and self.figures is None:

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from carm_kin.calibration.settings import Settings, above_zero
 from carm_kin.cli.arguments import Angular, Orbital, SensorLink
 from carm_kin.errors import InputError
+from carm_kin.typed import above_zero
 
 PANEL = "How to calibrate"
 CHAIN_PANEL = "Calibration of the whole chain, with --urdf"
@@ -88,6 +88,8 @@ _PRIORS = {"prior_mm": ("prior_t", 1e-3), "prior_deg": ("prior_r", radians(1))}
 
 def _solver_options(pairs: list[str]) -> dict[str, Any]:
     """``NAME=VALUE`` pairs; a value is JSON where it can be (true, 0.05, null), else text."""
+    from carm_kin.calibration.settings import Settings
+
     found: dict[str, Any] = {}
     settings = {field.name for field in fields(Settings)}
     for pair in pairs:

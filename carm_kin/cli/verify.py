@@ -8,12 +8,12 @@ from typing import Annotated
 import typer
 
 import carm_kin
-from carm_kin.calibration.settings import Settings, above_zero
 from carm_kin.cli.arguments import Angular, AsJson, Orbital
 from carm_kin.cli.options import grouped
 from carm_kin.cli.output import check_place, deliver, ended, results, warn
 from carm_kin.cli.reading import How, reading_options
 from carm_kin.errors import RefusedError
+from carm_kin.typed import above_zero
 
 
 def register(app: typer.Typer) -> None:
@@ -37,6 +37,7 @@ def check(
 ) -> None:
     """Check whether a saved calibration still holds: status 0 passed, 3 failed or refused."""
     from carm_kin.calibrated.check import check as apply
+    from carm_kin.calibration.settings import Settings
     from carm_kin.results import summary
     from carm_kin.results.provenance import command_line
 

@@ -77,11 +77,6 @@ def show_warnings(warnings: Iterable[Note], console: "Console") -> None:
     _print(_warning_lines(warnings), console)
 
 
-def show_warnings(warnings: Iterable[Note], console: "Console") -> None:
-    """Print the warnings of a result, a line each."""
-    _print(_warning_lines(warnings), console)
-
-
 def text_of(lines: Sequence[Line], warnings: Iterable[Note], refusal: Note | None = None) -> str:
     """The lines as `show` prints them, the warnings, and what a command says of the ``refusal`` below them."""
     every = [*lines, *_warning_lines(warnings)]

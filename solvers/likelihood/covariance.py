@@ -1,7 +1,6 @@
 """From the marginal information of the chain to the covariance of every reported quantity."""
 
 import numpy as np
-from scipy.special import ndtri
 
 from solvers.estimate import Covariance
 from solvers.likelihood.linearise import MOUNT_ROLL, TORUS_ROLL
@@ -9,7 +8,7 @@ from solvers.problem import Problem
 from solvers.se3 import Array, skew
 from solvers.torus import Torus
 
-NORMAL_95 = float(ndtri(0.975))
+NORMAL_95 = 1.959963984540054
 """Half-width of a two-sided 95% interval in standard deviations."""
 
 

@@ -9,12 +9,12 @@ ordered in time.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import fdtrc
 
 from solvers.likelihood.linearise import LOCAL, AngleModel, Linearisation
 from solvers.likelihood.reduced import RESIDUAL, blocks_of, inverse_blocks, weighted
 from solvers.problem import Problem
 from solvers.se3 import Array, rot_y
+from solvers.verdict.f_test import f_tail
 
 LEAST_POSES = 6
 """A change is looked for no nearer to the ends of a placement."""
@@ -98,7 +98,7 @@ def most_likely(rows: Array, problem: Problem, by: Array | None = None, of: slic
                 displacement=delta[k],
                 statistic=float(lowered[k]),
                 drift=_drift(normal, p, products, of),
-                probability=min(1.0, len(problem) * float(fdtrc(seen[k], dof, F))) if known else 1.0,
+                probability=min(1.0, len(problem) * f_tail(int(seen[k]), int(dof), float(F))) if known else 1.0,
             )
     return best
 

@@ -1,11 +1,11 @@
 """What the residuals of an accepted estimate still show: flex of the gantry, and noise that is not independent."""
 
 import numpy as np
-from scipy.special import fdtrc
 
 from solvers.estimate import Note
 from solvers.problem import Problem
 from solvers.se3 import Array, rot_y
+from solvers.verdict.f_test import f_tail
 
 ORDERS = (1, 2, 3)
 """Harmonics of an angle that a flex is made of."""
@@ -54,7 +54,7 @@ def _flex(angles: Array, residual: Array, redundancy: float) -> list[Note]:
         fitted = wave @ _left(whole, y)[1][1 + joint * wave.shape[1] :][: wave.shape[1]]
         fitted -= fitted.mean(axis=0)
         amplitude = float(np.sqrt(2 * (fitted**2).sum(axis=1).mean()))
-        if fdtrc(terms, left, F) < FLEX_PROBABILITY and amplitude > LEAST_FLEX * rms:
+        if f_tail(terms, left, F) < FLEX_PROBABILITY and amplitude > LEAST_FLEX * rms:
             notes.append(
                 Note(
                     f"flex_{name}",
