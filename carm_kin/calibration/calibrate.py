@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -19,6 +18,7 @@ from carm_kin.results.parts import Outliers, Provenance, Rejection
 from carm_kin.results.provenance import provenance_of
 from carm_kin.results.result import CalibrationResult
 from solvers.estimate import Note
+from solvers.plugins import PluginError
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.verdict.assess import Limits, assess
@@ -54,12 +54,12 @@ def calibrate(
     Raises InputError for an unknown solver or option, and where the recording lacks what the solver needs.
     """
     name = solver or ("kinematic" if locus == "circle" else "direct")
-    module = _module(name)
+    kind = _options_class(name)
     if locus != "circle":
         if name != "direct":
             raise InputError(f"locus '{locus}' needs the solver 'direct', not '{name}'")
         options["locus"] = locus
-    chosen = options_of(module.Options, name, options)
+    chosen = options_of(kind, name, options)
     check_noise("sigma_t_m", sigma_t_m)
     check_noise("sigma_r_rad", sigma_r_rad)
     again = repeated(recording.p_world_sensor, recording.R_world_sensor)
@@ -69,7 +69,7 @@ def calibrate(
         recording,
         ~again,
         lambda kept: replace(to_problem(kept, angular, orbital), sigma_t=sigma_t_m, sigma_r=sigma_r_rad),
-        module,
+        name,
         chosen,
         limits,
         provenance_of(recording, command, options.get("seed")),
@@ -81,14 +81,14 @@ def _calibrated(
     whole: Recording,
     kept: np.ndarray,
     problem_of: Callable[[Recording], Problem],
-    module: ModuleType,
+    name: str,
     options: Any,
     limits: Limits,
     provenance: Provenance,
 ) -> CalibrationResult:
     """The result of the ``kept`` poses (N,) of a recording."""
     recording = whole if kept.all() else whole.select(kept)
-    name, problem = module.__name__.rsplit(".", 1)[-1], problem_of(recording)
+    problem = problem_of(recording)
     if problem.R_world_sensor is None and name != "surface":
         raise InputError(f"the recording has no orientations (qw, qx, qy, qz), which '{name}' needs; use 'surface'")
     refusal = Note("too_few_poses", f"{len(problem)} poses; at least {limits.min_poses} are needed")
@@ -97,10 +97,10 @@ def _calibrated(
     if refusal:
         return refused_result(recording, name, asdict(options), refusal, provenance)
     try:
-        estimate = module.solve(problem, options)
+        estimate = solvers.solve(name, problem, options)
         if recording.variance is not None and name == "kinematic":
             problem = refitted(problem, estimate, recording.variance)
-            estimate = module.solve(problem, options)
+            estimate = solvers.solve(name, problem, options)
     except np.linalg.LinAlgError:
         refusal = Note("unobservable", "the poses determine no machine: the equations are singular")
         return refused_result(recording, name, asdict(options), refusal, provenance)
@@ -130,11 +130,14 @@ def _with_repeated(result: CalibrationResult, recording: Recording, again: np.nd
     )
 
 
-def _module(name: str) -> ModuleType:
+def _options_class(name: str) -> type:
+    """Of the solver. Raises InputError where there is no such solver, or it is a broken plug-in."""
     try:
-        return solvers.solver(name)
+        return solvers.solver(name).Options
     except KeyError:
         raise InputError(f"solver '{name}' is unknown; it is one of {', '.join(solvers.solver_names())}") from None
+    except PluginError as error:
+        raise InputError(f"solver {error}") from None
 
 
 def check_noise(name: str, value: float | None) -> None:
