@@ -12,6 +12,7 @@ import typer
 from carm_kin.batches.journal import OK, Line
 from carm_kin.batches.pool import Workers, WorkersLostError
 from carm_kin.cli.arguments import options, writable
+from carm_kin.cli.names import Naming
 from carm_kin.cli.options import grouped
 from carm_kin.cli.terminal import Stderr
 from carm_kin.errors import InputError
@@ -24,12 +25,13 @@ PANEL = "How to calibrate, where a list does not say it"
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command(epilog="Example: carm-kin batch recordings/ more/*.csv list.toml -o calibrated --jobs 4")(batch)
+    example = "Example: carm-kin batch recordings/ more/*.csv list.toml -o calibrated --jobs 4"
+    app.command(cls=Naming, epilog=example)(batch)
 
 
 def given_settings(
     solver: Annotated[str | None, typer.Option(help="As of carm-kin calibrate.", rich_help_panel=PANEL)] = None,
-    locus: Annotated[str | None, typer.Option(help="circle or point.", rich_help_panel=PANEL)] = None,
+    locus: Annotated[str | None, typer.Option(help="{loci}.", rich_help_panel=PANEL)] = None,
     urdf: Annotated[str | None, typer.Option(help="A URDF file or a bundled machine.", rich_help_panel=PANEL)] = None,
     angular: Annotated[str | None, typer.Option(help="Name of the angular joint.", rich_help_panel=PANEL)] = None,
     orbital: Annotated[str | None, typer.Option(help="Name of the orbital joint.", rich_help_panel=PANEL)] = None,

@@ -11,6 +11,7 @@ import typer
 import carm_kin
 from carm_kin.cli.arguments import Angular, AsJson, Orbital, SensorLink, above_zero, joint_names, options
 from carm_kin.cli.chain import ChainOptions, calibrate_with, chain_options
+from carm_kin.cli.names import Naming
 from carm_kin.cli.options import grouped
 from carm_kin.cli.output import check_place, deliver
 from carm_kin.cli.reading import How, reading_options
@@ -23,7 +24,8 @@ from carm_kin.results.result import CalibrationResult
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the program."""
-    app.command(epilog="Example: carm-kin calibrate rec.csv --json result.json --report report.html")(calibrate)
+    example = "Example: carm-kin calibrate rec.csv --json result.json --report report.html"
+    app.command(cls=Naming, epilog=example)(calibrate)
 
 
 @grouped("pages", report_options)
@@ -34,10 +36,8 @@ def calibrate(
     how: How,
     chain: ChainOptions,
     pages: ReportOptions,
-    solver: Annotated[
-        str | None, typer.Option(help="chain (with --urdf), closed_form, decomposed, direct, kinematic, surface.")
-    ] = None,
-    locus: Annotated[str, typer.Option(help="What the pivot moves on: circle (a C-arm) or point.")] = "circle",
+    solver: Annotated[str | None, typer.Option(help="chain (with --urdf), {solvers}.")] = None,
+    locus: Annotated[str, typer.Option(help="What the pivot moves on: {loci}; circle is a C-arm.")] = "circle",
     urdf: Annotated[
         str | None, typer.Option(help="Calibrate the chain of this URDF; with --solver only take its joint names.")
     ] = None,

@@ -13,6 +13,7 @@ from rich.table import Table
 import carm_kin
 from carm_kin.calibration.settings import Settings
 from carm_kin.cli.arguments import writable
+from carm_kin.cli.names import Naming
 from carm_kin.cli.options import grouped
 from carm_kin.cli.terminal import Stderr, to_stdout
 from carm_kin.errors import InputError, RefusedError
@@ -34,7 +35,7 @@ STUDIED = ("direct", "decomposed")
 def register(app: typer.Typer) -> None:
     """Add the command."""
     example = "carm-kin compare --repeat 100 --urdf mobile_nonisocentric --sigma-t-mm 1 --solvers direct,decomposed"
-    app.command(epilog=f"Example: carm-kin compare rec.csv --figure rec.svg; or {example}")(compare)
+    app.command(cls=Naming, epilog=f"Example: carm-kin compare rec.csv --figure rec.svg; or {example}")(compare)
 
 
 @dataclass(frozen=True)
@@ -98,7 +99,9 @@ def compare(
     simulation: Simulated,
     output: Outputs,
     recording: Annotated[Path | None, typer.Argument(help="The recording; left out with --repeat.")] = None,
-    solvers: Annotated[str | None, typer.Option(help="Names, comma between; by default all that are possible.")] = None,
+    solvers: Annotated[
+        str | None, typer.Option(help="Comma between; by default all that are possible: {solvers}; chain with --urdf.")
+    ] = None,
     truth: Annotated[
         Path | None, typer.Option(help="The true result; by default NAME.truth.json beside the recording.")
     ] = None,

@@ -13,7 +13,7 @@ import typer
 import carm_kin
 from carm_kin.cli import batch, calibrate, compare, experiment, export, files, live, machine, verify
 from carm_kin.cli.output import ended
-from carm_kin.cli.terminal import to_stdout, use_any_encoding
+from carm_kin.cli.terminal import to_stdout, use_any_encoding, use_plain_warnings
 from carm_kin.errors import CarmKinError, InputError, RefusedError
 
 app = typer.Typer(
@@ -44,6 +44,7 @@ def main() -> None:
     """Entry point of the console command."""
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     use_any_encoding()
+    use_plain_warnings()
     try:
         status = app(prog_name="carm-kin", standalone_mode=False)
     except RefusedError as error:
