@@ -6,6 +6,7 @@ in metres and radians.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import expm
@@ -175,3 +176,16 @@ def problem(truth: Machine, motion: Motion, sigma_t: float = 0.0, sigma_r: float
 def shuffled(given: Problem, seed: int = 0) -> Problem:
     """The same poses in random order."""
     return given.select(np.random.default_rng([seed, 9]).permutation(len(given)))
+
+
+MOTION = sweeps_deg((-60, 0, 35, 80), range(0, 360, 24), (0, 40, 75), range(0, 360, 24))
+"""What every solver is tried on, 105 labelled poses."""
+TRUTH = machine(1, 0.25)
+SIGMA_T, SIGMA_R = 1e-3, 1e-3
+"""Noise of `DATA` an axis, m and rad."""
+EXACT, DATA = problem(TRUTH, MOTION), problem(TRUTH, MOTION, SIGMA_T, SIGMA_R)
+
+
+def assert_close(found: Any, expected: Any, atol: float, what: str) -> None:
+    """Raise AssertionError where an entry is farther off than ``atol``."""
+    np.testing.assert_allclose(found, expected, rtol=0, atol=atol, err_msg=what)
