@@ -20,11 +20,24 @@ from types import ModuleType
 from carm_kin.errors import InputError
 from carm_kin.recording.declarations import Declarations
 from carm_kin.recording.formats import _folder
+from carm_kin.recording.formats._foreign import lines_of, read_cells
 from carm_kin.recording.formats._format import Format
 from carm_kin.recording.ingest import applied, ingest
 from carm_kin.recording.raw import Raw
 from carm_kin.recording.recording import Recording
 from solvers.plugins import Kind, PluginError
+
+__all__ = [
+    "FORMATS",
+    "Format",
+    "format_of",
+    "formats",
+    "lines_of",
+    "read_cells",
+    "read_recording",
+    "write_recording",
+    "writer_of",
+]
 
 FORMATS = Kind(__name__, "carm_kin.formats", needs=("SUMMARY", "matches", "read"))
 HEAD = 65536
