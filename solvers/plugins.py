@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from pkgutil import iter_modules
+from pkgutil import ModuleInfo, iter_modules
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -39,34 +39,33 @@ class Kind:
 
     def own(self) -> tuple[str, ...]:
         """The names of those in the package, sorted; none is imported."""
-        modules = iter_modules(import_module(self.package).__path__)
-        found = (info.name for info in modules if not info.ispkg and not info.name.startswith("_"))
+        found = (info.name for info in self._modules() if not info.ispkg and not info.name.startswith("_"))
         return tuple(sorted(name for name in found if name not in self.parts))
 
     def listed(self) -> tuple[str, ...]:
         """Every name, first those in the package; no module is imported, so that a broken plug-in is among them."""
-        return tuple(dict.fromkeys((*self.own(), *sorted(entry.name for entry in _entry_points(self.group)))))
+        return (*self.own(), *sorted(self._entries()))
 
     def names(self) -> tuple[str, ...]:
         """The names of those in the package and of the plug-ins that can be used; warns of each that cannot."""
-        own, found = self.own(), []
+        found, entries = [], self._entries()
         for entry in _entry_points(self.group):
-            if entry.name in (*own, *found):
-                self.pass_over(f"{_source(entry)}: the name is taken already")
+            if entries.get(entry.name) is not entry:
+                pass_over(f"{_source(entry)}: the name is taken already")
                 continue
             try:
                 self._plugin(entry)
             except PluginError as error:
-                self.pass_over(str(error))
+                pass_over(str(error))
             else:
                 found.append(entry.name)
-        return (*own, *sorted(found))
+        return (*self.own(), *sorted(found))
 
     def find(self, name: str) -> ModuleType:
         """The module of that name. Raises KeyError for an unknown name, PluginError for a plug-in that is broken."""
         if name in self.own():
             return import_module(f"{self.package}.{name}")
-        return self._plugin(self._entry(name))
+        return self._plugin(self._entries()[name])
 
     def call(self, name: str, passed: tuple[type[Exception], ...], function: Callable[..., T], *given: Any) -> T:
         """What a function of the module ``name`` gives.
@@ -75,18 +74,17 @@ class Kind:
         """
         if name in self.own():
             return function(*given)
-        with _blamed(self._entry(name), passed):
+        with _blamed(self._entries()[name], passed):
             return function(*given)
 
-    def pass_over(self, problem: str) -> None:
-        """Warn of a plug-in."""
-        warnings.warn(f"passed over {problem}", PluginWarning, stacklevel=2)
+    def _modules(self) -> Iterator[ModuleInfo]:
+        return iter_modules(import_module(self.package).__path__)
 
-    def _entry(self, name: str) -> "EntryPoint":
-        for entry in _entry_points(self.group):
-            if entry.name == name:
-                return entry
-        raise KeyError(name)
+    def _entries(self) -> "dict[str, EntryPoint]":
+        """The entry points by their names, the first of each name that is not one of the package's modules."""
+        taken = {info.name for info in self._modules()}
+        entries = reversed(_entry_points(self.group))
+        return {entry.name: entry for entry in entries if entry.name not in taken}
 
     def _plugin(self, entry: "EntryPoint") -> ModuleType:
         module = _loaded(entry)
@@ -95,6 +93,12 @@ class Kind:
         if missing := [name for name in self.needs if not hasattr(module, name)]:
             raise PluginError(f"{_source(entry)}: {entry.value} has no {' and no '.join(missing)}")
         return module
+
+
+@cache
+def pass_over(problem: str) -> None:
+    """Warn of a plug-in, once in a process."""
+    warnings.warn(f"passed over {problem}", PluginWarning, stacklevel=2)
 
 
 @cache

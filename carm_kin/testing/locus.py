@@ -1,5 +1,7 @@
 """The contract of a locus, each check a function of its name; an AssertionError says what is broken."""
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
@@ -87,7 +89,7 @@ def at_the_truth(name: str) -> tuple[loci.Locus, Problem, Array]:
     """
     turn = range(0, 360, 24)
     chosen, data = loci.locus(name), problem(machine(3, 0.0), sweeps_deg((-60, 0, 35, 80), turn, (0, 40, 75), turn))
-    spy = _Spy(chosen)
+    spy: Any = _Spy(chosen)
     estimate = direct.minimise(data, spy, chosen.start(data), LEVER, 100)
     assert estimate.residual is not None, "the estimate has lost the residuals that it was given"
     return chosen, data, spy.theta

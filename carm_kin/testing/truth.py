@@ -101,7 +101,7 @@ def rigid(xi: np.ndarray) -> np.ndarray:
 def frame(rng: np.random.Generator, spread: float) -> np.ndarray:
     """A uniform rotation and a position in a cube of half-width ``spread``."""
     T = np.eye(4)
-    T[:3, :3] = Rotation.random(random_state=int(rng.integers(2**31))).as_matrix()
+    T[:3, :3] = Rotation.random(random_state=int(rng.integers(2**31))).as_matrix()  # pyright: ignore[reportCallIssue]
     T[:3, 3] = rng.uniform(-spread, spread, 3)
     return T
 

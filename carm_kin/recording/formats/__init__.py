@@ -25,7 +25,7 @@ from carm_kin.recording.formats._format import Format
 from carm_kin.recording.ingest import applied, ingest
 from carm_kin.recording.raw import Raw
 from carm_kin.recording.recording import Recording
-from solvers.plugins import Kind, PluginError
+from solvers.plugins import Kind, PluginError, pass_over
 
 __all__ = [
     "FORMATS",
@@ -55,7 +55,7 @@ def _format(name: str, module: ModuleType) -> Format:
         try:
             return bool(FORMATS.call(name, (), module.matches, path, head))
         except PluginError as error:
-            FORMATS.pass_over(str(error))
+            pass_over(str(error))
             return False
 
     holds, extensions = (tuple(getattr(module, key, ())) for key in ("HOLDS", "EXTENSIONS"))
