@@ -1,5 +1,7 @@
 """Contracts of every solver and every locus, found by name: a new file is tested by being there."""
 
+import importlib
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -22,6 +24,12 @@ every_locus = pytest.mark.parametrize("name", loci.locus_names())
 def test_the_known_solvers_are_found():
     assert set(NAMES) >= {"closed_form", "decomposed", "direct", "kinematic", "surface"}
     assert set(loci.locus_names()) >= {"circle", "point", "published_circle"}
+
+
+def test_the_parts_that_solvers_share_are_none():
+    parts = [importlib.import_module(f"solvers.{part}") for part in solvers.SOLVERS.parts]
+    assert not [part for part in parts if hasattr(part, "Options")]
+    assert all(hasattr(solvers.solver(name), "solve") for name in NAMES)
 
 
 @pytest.mark.parametrize("name", ["", "nonsense", "se3", "loci", "estimate", "../direct", "solvers.direct", "os"])
