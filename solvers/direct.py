@@ -33,7 +33,7 @@ class Options:
     """Options of the direct solver."""
 
     locus: str = "circle"
-    """circle (a C-arm) or point (a pointer pivoted about a fixed point)."""
+    """circle (a C-arm), point (a pointer pivoted about a fixed point), or the name of another locus."""
     gauge: str = "tangent"
     """tangent: the pivot is the foot of the common perpendicular. published: the energy of the paper
     as it stands, which leaves the offset free along the orbital axis; for comparison."""
@@ -128,7 +128,7 @@ def _locus(options: Options) -> Locus:
     try:
         return loci.locus(options.locus)
     except KeyError:
-        known = ", ".join(name for name in loci.locus_names() if not name.startswith("published"))
+        known = ", ".join(loci.by_option(loci.locus_names()))
         raise ValueError(f"locus {options.locus!r} is unknown; it is one of {known}") from None
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -70,7 +69,7 @@ def calibrate(
         recording,
         ~again,
         lambda kept: replace(to_problem(kept, angular, orbital), sigma_t=sigma_t_m, sigma_r=sigma_r_rad),
-        solvers.solver(name),
+        name,
         chosen,
         limits,
         provenance_of(recording, command, options.get("seed")),
@@ -82,14 +81,14 @@ def _calibrated(
     whole: Recording,
     kept: np.ndarray,
     problem_of: Callable[[Recording], Problem],
-    module: ModuleType,
+    name: str,
     options: Any,
     limits: Limits,
     provenance: Provenance,
 ) -> CalibrationResult:
     """The result of the ``kept`` poses (N,) of a recording."""
     recording = whole if kept.all() else whole.select(kept)
-    name, problem = module.__name__.rsplit(".", 1)[-1], problem_of(recording)
+    problem = problem_of(recording)
     if problem.R_world_sensor is None and name != "surface":
         raise InputError(f"the recording has no orientations (qw, qx, qy, qz), which '{name}' needs; use 'surface'")
     refusal = Note("too_few_poses", f"{len(problem)} poses; at least {limits.min_poses} are needed")
@@ -99,11 +98,11 @@ def _calibrated(
         return refused_result(recording, name, asdict(options), refusal, provenance)
     try:
         with step(f"solve by {name}: {len(problem)} poses"):
-            estimate = module.solve(problem, options)
+            estimate = solvers.solve(name, problem, options)
         if recording.variance is not None and name == "kinematic":
             problem = refitted(problem, estimate, recording.variance)
             with step(f"solve by {name}: the stops by what they tell"):
-                estimate = module.solve(problem, options)
+                estimate = solvers.solve(name, problem, options)
     except np.linalg.LinAlgError:
         refusal = Note("unobservable", "the poses determine no machine: the equations are singular")
         return refused_result(recording, name, asdict(options), refusal, provenance)

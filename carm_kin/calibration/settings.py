@@ -15,6 +15,7 @@ from carm_kin.errors import InputError
 from carm_kin.recording.recording import Recording
 from carm_kin.results.provenance import command_line
 from carm_kin.typed import above_zero
+from solvers.plugins import PluginError
 
 CHAIN = "chain"
 """The solver of a URDF's whole chain."""
@@ -52,6 +53,8 @@ def options_class(solver: str) -> type:
     except KeyError:
         known = ", ".join((CHAIN, *solvers.solver_names()))
         raise InputError(f"solver '{solver}' is unknown; it is one of {known}") from None
+    except PluginError as error:
+        raise InputError(f"solver {error}") from None
 
 
 @dataclass(frozen=True)

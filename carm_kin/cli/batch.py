@@ -12,6 +12,7 @@ import typer
 from carm_kin.batches.journal import OK, Line
 from carm_kin.batches.pool import Workers, WorkersLostError
 from carm_kin.cli.arguments import writable
+from carm_kin.cli.names import Naming
 from carm_kin.cli.options import grouped
 from carm_kin.cli.output import ended, results, written
 from carm_kin.cli.settings import settings_options
@@ -24,7 +25,8 @@ if TYPE_CHECKING:
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
-    app.command(epilog="Example: carm-kin batch recordings/ more/*.csv list.toml -o calibrated --jobs 4")(batch)
+    example = "Example: carm-kin batch recordings/ more/*.csv list.toml -o calibrated --jobs 4"
+    app.command(cls=Naming, epilog=example)(batch)
 
 
 @grouped("given", settings_options)

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from carm_kin.cli.arguments import AsJson, writable
+from carm_kin.cli.names import Naming
 from carm_kin.cli.options import grouped
 from carm_kin.cli.output import check_place, deliver, results, warn, written
 from carm_kin.cli.reading import How, reading_options
@@ -17,7 +18,8 @@ from carm_kin.errors import RefusedError
 
 def register(app: typer.Typer) -> None:
     """Add the commands to the program."""
-    app.command(epilog="Example: carm-kin calibrate rec.csv --json result.json --report report.html")(calibrate)
+    example = "Example: carm-kin calibrate rec.csv --json result.json --report report.html"
+    app.command(cls=Naming, epilog=example)(calibrate)
 
 
 @grouped("pages", report_options)

@@ -11,6 +11,7 @@ import typer
 
 import carm_kin
 from carm_kin.cli.arguments import writable
+from carm_kin.cli.names import Naming
 from carm_kin.cli.options import grouped
 from carm_kin.cli.output import check_place, deliver, results, written
 from carm_kin.cli.terminal import Stderr
@@ -35,7 +36,7 @@ STUDIED = ("direct", "decomposed")
 def register(app: typer.Typer) -> None:
     """Add the command."""
     example = "carm-kin compare --repeat 100 --urdf mobile_nonisocentric --sigma-t-mm 1 --solvers direct,decomposed"
-    app.command(epilog=f"Example: carm-kin compare rec.csv --figure rec.svg; or {example}")(compare)
+    app.command(cls=Naming, epilog=f"Example: carm-kin compare rec.csv --figure rec.svg; or {example}")(compare)
 
 
 @dataclass(frozen=True)
@@ -102,7 +103,9 @@ def compare(
     simulation: Simulated,
     output: Outputs,
     recording: Annotated[Path | None, typer.Argument(help="The recording; left out with --repeat.")] = None,
-    solvers: Annotated[str | None, typer.Option(help="Names, comma between; by default all that are possible.")] = None,
+    solvers: Annotated[
+        str | None, typer.Option(help="Comma between; by default all that are possible: {solvers}; chain with --urdf.")
+    ] = None,
     truth: Annotated[
         Path | None, typer.Option(help="The true result; by default NAME.truth.json beside the recording.")
     ] = None,

@@ -51,7 +51,11 @@ def run(folder: Path, seed: int, pages: ReportOptions = ReportOptions(None, None
         table.add_column(column, no_wrap=True, justify="left" if column == "solver" else "right")
     results = {}
     for name in solvers.solver_names():
-        results[name], seconds = _timed(recording, name)
+        try:
+            results[name], seconds = _timed(recording, name)
+        except InputError as error:
+            console.print(f"{name}: {error}", soft_wrap=True)
+            continue
         results[name].to_json(folder / f"{name}.json")
         written(folder / f"{name}.json")
         table.add_row(name, *_errors(results[name], truth), f"{seconds * 1e3:.0f} ms")

@@ -6,12 +6,13 @@ from typing import Annotated
 import typer
 
 from carm_kin.cli.arguments import writable
+from carm_kin.cli.names import Naming
 from carm_kin.cli.output import written
 
 
 def export(
     result: Annotated[Path, typer.Argument(help="The calibration, as calibrate --json writes it.")],
-    to: Annotated[str, typer.Option("--to", help="itk, json, plus, ros2 or urdf.")],
+    to: Annotated[str, typer.Option("--to", help="{exports}.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="The file to write.")],
     transform: Annotated[
         str, typer.Option(help="sensor-carm: the C-arm in the sensor's frame; world-torus: the machine in the world.")
@@ -39,4 +40,4 @@ def export(
 
 def register(app: typer.Typer) -> None:
     """Add the command to ``app``."""
-    app.command(epilog="Example: carm-kin export result.json --to ros2 -o sensor_to_carm.yaml")(export)
+    app.command(cls=Naming, epilog="Example: carm-kin export result.json --to ros2 -o sensor_to_carm.yaml")(export)

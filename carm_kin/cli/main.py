@@ -15,7 +15,7 @@ import carm_kin
 from carm_kin.cli import batch, calibrate, compare, experiment, export, files, live, machine, verify
 from carm_kin.cli.loudness import App, Quiet, Verbose, heard, set_loudness
 from carm_kin.cli.output import ended
-from carm_kin.cli.terminal import to_stdout, use_any_encoding
+from carm_kin.cli.terminal import to_stdout, use_any_encoding, use_plain_warnings
 from carm_kin.errors import CarmKinError, InputError, RefusedError
 
 app = App(
@@ -45,6 +45,7 @@ def main() -> None:
     """Entry point of the console command."""
     warnings.filterwarnings("ignore", category=RuntimeWarning)
     use_any_encoding()
+    use_plain_warnings()
     try:
         with heard():
             status = app(prog_name="carm-kin", standalone_mode=False)

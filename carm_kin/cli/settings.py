@@ -31,10 +31,10 @@ def _of_chain(*names: str, help: str) -> Any:
 def settings_options(
     solver: Annotated[
         str | None,
-        _option("--solver", help="chain (with --urdf), closed_form, decomposed, direct, kinematic, surface."),
+        _option("--solver", help="chain (with --urdf), {solvers}."),
     ] = None,
     locus: Annotated[
-        str | None, _option("--locus", help="What the pivot moves on: circle (a C-arm, the default) or point.")
+        str | None, _option("--locus", help="What the pivot moves on: {loci}; circle, the default, is a C-arm.")
     ] = None,
     urdf: Annotated[
         str | None,

@@ -3,6 +3,7 @@
 import logging
 import os
 import sys
+import warnings
 from io import TextIOWrapper
 from typing import Any
 
@@ -58,6 +59,19 @@ def use_any_encoding() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
+
+
+def use_plain_warnings() -> None:
+    """Show warnings for users, such as of a plug-in that is passed over, on a line without the place in the code."""
+    usual = warnings.showwarning
+
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+        if issubclass(category, UserWarning):
+            Stderr().print(f"warning: {message}", soft_wrap=True)
+        else:
+            usual(message, category, *where, **more)
+
+    warnings.showwarning = show
 
 
 def to_stdout(text: str) -> None:

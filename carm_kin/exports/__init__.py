@@ -1,23 +1,36 @@
-"""Exports of a calibration to other programs, found by name: every public module of this package is one.
+"""Exports of a calibration to other programs, found by name: every public module of this package is one, and every
+module that an entry point of the group ``carm_kin.exports`` names.
 
-An export module has ``NAME``, ``ENDING`` (of its file name), ``SUMMARY`` (one line), ``TAKES`` (which of the fields
-of `Wanted` it looks at) and ``write(result, out, wanted)``. Every file holds the convention, the units, the standard
-deviations, the date and the hash of the recording.
+An export module has ``ENDING`` (of its file name), ``SUMMARY`` (one line), ``TAKES`` (which of the fields of `Wanted`
+it looks at) and ``write(result, out, wanted)``. Every file holds the convention, the units, the standard deviations,
+the date and the hash of the recording: `facts` has them in words.
 """
 
-import importlib
 import os
-import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 from carm_kin.errors import InputError, RefusedError
-from carm_kin.exports._wanted import SENSOR_CARM, TRANSFORMS, WORLD_TORUS, Wanted
+from carm_kin.exports._wanted import SENSOR_CARM, TRANSFORMS, WORLD_TORUS, Wanted, facts, subject_of
 from carm_kin.machine.urdf import UrdfFile
 from carm_kin.results.result import CalibrationResult, ResultLike, as_result
+from solvers.plugins import Kind
 
-__all__ = ["SENSOR_CARM", "TRANSFORMS", "WORLD_TORUS", "Export", "Wanted", "export", "exports"]
+__all__ = [
+    "EXPORTS",
+    "SENSOR_CARM",
+    "TRANSFORMS",
+    "WORLD_TORUS",
+    "Export",
+    "Wanted",
+    "export",
+    "exports",
+    "facts",
+    "subject_of",
+]
+
+EXPORTS = Kind(__name__, "carm_kin.exports", needs=("ENDING", "SUMMARY", "TAKES", "write"))
 
 
 @dataclass(frozen=True)
@@ -34,12 +47,11 @@ class Export:
 
 def exports() -> dict[str, Export]:
     """Every export by its name."""
-    found = {}
-    for module in sorted(info.name for info in pkgutil.iter_modules(__path__)):
-        if not module.startswith("_"):
-            it = importlib.import_module(f"{__name__}.{module}")
-            found[it.NAME] = Export(it.NAME, it.ENDING, it.SUMMARY, frozenset(it.TAKES), it.write)
-    return found
+    modules = {name: EXPORTS.find(name) for name in EXPORTS.names()}
+    return {
+        name: Export(name, module.ENDING, module.SUMMARY, frozenset(module.TAKES), module.write)
+        for name, module in modules.items()
+    }
 
 
 def export(

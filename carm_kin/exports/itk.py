@@ -13,7 +13,7 @@ from carm_kin.files import write_atomically
 from carm_kin.results.result import CalibrationResult
 from solvers.se3 import Array, inverse
 
-NAME, ENDING = "itk", ".tfm"
+ENDING = ".tfm"
 SUMMARY = "ITK and 3D Slicer transform (mm, LPS, from parent)."
 TAKES = ("transform", "placement", "parent_frame", "child_frame")
 

@@ -10,7 +10,7 @@ from carm_kin.files import write_atomically
 from carm_kin.results.result import CalibrationResult
 from solvers.se3 import quat_wxyz_from_rotation
 
-NAME, ENDING = "json", ".json"
+ENDING = ".json"
 SUMMARY = "The transform as matrix and quaternion, with its sigma, and the whole result."
 TAKES = ("transform", "placement", "parent_frame", "child_frame")
 SCHEMA = "carm-kin/export/1"

@@ -10,7 +10,7 @@ from carm_kin.exports._wanted import Subject, Wanted, facts, in_xml_comment, sub
 from carm_kin.files import write_atomically
 from carm_kin.results.result import CalibrationResult
 
-NAME, ENDING = "plus", ".xml"
+ENDING = ".xml"
 SUMMARY = "PLUS configuration: a Transform element with matrix (mm), error and date."
 TAKES = ("transform", "placement", "parent_frame", "child_frame")
 

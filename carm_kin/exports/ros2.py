@@ -9,7 +9,7 @@ from carm_kin.files import write_atomically
 from carm_kin.results.result import CalibrationResult
 from solvers.se3 import quat_wxyz_from_rotation
 
-NAME, ENDING = "ros2", ".yaml"
+ENDING = ".yaml"
 SUMMARY = "ROS 2 static transform: parameters of tf2_ros (metres, quaternion xyzw) and the command line."
 TAKES = ("transform", "placement", "parent_frame", "child_frame")
 

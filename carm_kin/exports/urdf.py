@@ -18,7 +18,7 @@ from carm_kin.results.chain_result import ChainCalibration, JointChange
 from carm_kin.results.result import CalibrationResult
 from solvers.se3 import inverse, rot_z, transform
 
-NAME, ENDING = "urdf", ".urdf"
+ENDING = ".urdf"
 SUMMARY = "Calibrated URDF: the one that was calibrated (with its file), or the two axes alone."
 TAKES = ("urdf",)
 

@@ -1,20 +1,23 @@
-"""Loci on which the pivot moves, each one file, found by its name.
+"""Loci on which the pivot moves, each one file, found by its name, here or by an entry point of ``carm_kin.loci``.
 
 A locus states, in ambient coordinates theta, what the pivot ``R_i t + p_i`` must satisfy. Unit
 vectors stand in theta with three entries; `Locus.basis` gives the directions in which theta may move.
 """
 
-from importlib import import_module
-from pkgutil import iter_modules
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-import casadi as ca
 import numpy as np
 
 from solvers.estimate import Estimate
+from solvers.plugins import Kind
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Axes
+
+if TYPE_CHECKING:
+    import casadi as ca
+
+LOCI = Kind(__name__, "carm_kin.loci", needs=("Locus",))
 
 
 class Locus(Protocol):
@@ -25,7 +28,7 @@ class Locus(Protocol):
     own: int
     """How many leading entries of theta belong to one placement; the rest is shared."""
 
-    def residual(self, theta: ca.SX, R: ca.SX, p: ca.SX, lever: ca.SX) -> ca.SX:
+    def residual(self, theta: "ca.SX", R: "ca.SX", p: "ca.SX", lever: "ca.SX") -> "ca.SX":
         """Residuals, m, of one pose: R (3, 3), p (3, 1); ``lever`` (m) turns angles into lengths."""
         ...
 
@@ -75,12 +78,18 @@ def reported_by_name(named: dict[str, Array], placements: dict[str, list[Array]]
 
 
 def locus_names() -> tuple[str, ...]:
-    """Names of all loci."""
-    return tuple(info.name for info in iter_modules(__path__))
+    """Names of all loci that can be used."""
+    return LOCI.names()
 
 
 def locus(name: str, **options) -> Locus:
-    """The locus of that name. Raises KeyError for an unknown one."""
-    if name not in locus_names():
-        raise KeyError(name)
-    return import_module(f"{__name__}.{name}").Locus(**options)
+    """The locus of that name.
+
+    Raises KeyError for an unknown one, `solvers.plugins.PluginError` for one of another package that is broken.
+    """
+    return LOCI.find(name).Locus(**options)
+
+
+def by_option(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Those that a user names; the gauge chooses the published ones."""
+    return tuple(name for name in names if not name.startswith("published"))

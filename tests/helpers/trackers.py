@@ -3,8 +3,7 @@
 import io
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.io import savemat
@@ -12,6 +11,24 @@ from scipy.spatial.transform import Rotation
 
 from carm_kin.recording.declarations import Declarations
 from carm_kin.recording.recording import Recording
+from carm_kin.testing import format as contract
+from carm_kin.testing.format import written
+
+__all__ = [
+    "FREE",
+    "MAKERS",
+    "MATRIX",
+    "MM",
+    "ROTATION",
+    "TIME",
+    "WXYZ",
+    "XYZW",
+    "N",
+    "P",
+    "Sample",
+    "assert_poses",
+    "written",
+]
 
 FREE = Declarations()
 N = 30
@@ -28,24 +45,17 @@ MATRIX[:, :3, :3], MATRIX[:, :3, 3] = ROTATION.as_matrix(), P
 
 
 @dataclass(frozen=True)
-class Sample:
-    """A sound file of one format with the N poses, exact to 1e-6 m and 1e-6 rad."""
+class Sample(contract.Sample):
+    """A sound file of one format with the N poses."""
 
-    format: str
-    file: str
-    content: bytes
-    declared: Declarations = FREE
+    p_world_sensor: np.ndarray = field(default_factory=lambda: P)
+    R_world_sensor: np.ndarray = field(default_factory=ROTATION.as_matrix)
+    time_s: np.ndarray | None = field(default_factory=lambda: TIME)
     header: int | None = 0
-    """Lines above the first frame; None where a frame is not a line."""
-    timed: bool = True
     delimiter: str = ","
     """Between cells; "" where the file is no table."""
     fixed: bool = False
     """The columns have no names and cannot be exchanged."""
-
-    def frames_in(self, content: bytes) -> int:
-        """Lines of frames, the last one perhaps cut; 0 where frames are no lines."""
-        return 0 if self.header is None else max(0, len(content.splitlines()) - self.header)
 
 
 def table(header: str, rows: np.ndarray, delimiter: str = ",", before: str = "") -> bytes:
@@ -82,7 +92,7 @@ def ndi() -> Sample:
     rows = np.column_stack([WXYZ, MM, np.full(N, 0.2)])
     lines = [f"1,2,{500 + i},1,OK," + ",".join(f"{x:.9f}" for x in row) for i, row in enumerate(rows)]
     header = "Tools,Port 2: Marker  s/n:1A2B,Frame,Face,State,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error"
-    return Sample("ndi", "ndi.csv", "\n".join([header, *lines, ""]).encode(), header=1, timed=False)
+    return Sample("ndi", "ndi.csv", "\n".join([header, *lines, ""]).encode(), header=1, time_s=None)
 
 
 def ndi_euler() -> Sample:
@@ -91,7 +101,7 @@ def ndi_euler() -> Sample:
         f"1,Port 2: Marker,{500 + i},1,OK," + ",".join(f"{x:.9f}" for x in row) + ",4" for i, row in enumerate(rows)
     ]
     header = "Tools,Port 2: Marker,Frame,Face,State,Rz,Ry,Rx,Tx,Ty,Tz,Error,Markers"
-    return Sample("ndi", "ndi_euler.csv", "\n".join([header, *lines, ""]).encode(), header=1, timed=False)
+    return Sample("ndi", "ndi_euler.csv", "\n".join([header, *lines, ""]).encode(), header=1, time_s=None)
 
 
 def ndi_capi() -> Sample:
@@ -101,7 +111,7 @@ def ndi_capi() -> Sample:
         lines.append(f"1,Marker s/n:1A2B,{500 + i},Port:2,0,OK,{numbers},1,OK,1.0,2.0,3.0")
     header = "#Tools,ToolInfo,Frame#,PortHandle,Face#,TransformStatus,Q0,Qx,Qy,Qz,Tx,Ty,Tz,Error,#Markers"
     header += ",Marker0.Status,Tx,Ty,Tz"
-    return Sample("ndi", "ndi_capi.csv", "\n".join([header, *lines, ""]).encode(), header=1, timed=False, fixed=True)
+    return Sample("ndi", "ndi_capi.csv", "\n".join([header, *lines, ""]).encode(), header=1, time_s=None, fixed=True)
 
 
 def motive() -> Sample:
@@ -127,7 +137,7 @@ def tum() -> Sample:
 def custom() -> Sample:
     rows = np.column_stack([TIME, MM, WXYZ])
     content = table("my log\ntime_s,Xa,Ya,Za,qoa,qxa,qya,qza", rows)
-    return Sample("table", "log.csv", content, Declarations(unit="mm"), header=2)
+    return Sample("table", "log.csv", content, declared=Declarations(unit="mm"), header=2)
 
 
 def hololens_json() -> Sample:
@@ -140,7 +150,7 @@ def hololens_json() -> Sample:
     ]
     content = "\n".join(map(json.dumps, poses)) + "\n"
     declared = Declarations(left_handed=True)
-    return Sample("hololens", "head.json", content.encode(), declared, header=0, delimiter="")
+    return Sample("hololens", "head.json", content.encode(), declared=declared, header=0, delimiter="")
 
 
 def hololens_lines() -> Sample:
@@ -160,7 +170,7 @@ def tfm() -> Sample:
         lines += [f"# Transform {i}", "Transform: AffineTransform_double_3_3"]
         lines.append("Parameters: " + " ".join(f"{x:.12f}" for x in [*M[:3, :3].ravel(), *t]))
         lines.append("FixedParameters: 10 -20 30")
-    return Sample("tfm", "poses.tfm", "\n".join([*lines, ""]).encode(), header=None, timed=False, delimiter="")
+    return Sample("tfm", "poses.tfm", "\n".join([*lines, ""]).encode(), header=None, time_s=None, delimiter="")
 
 
 def npz() -> Sample:
@@ -184,14 +194,6 @@ MAKERS: dict[str, Callable[[], Sample]] = {
 }
 
 
-def written(sample: Sample, folder: Path, content: bytes | None = None) -> Path:
-    path = folder / sample.file
-    path.write_bytes(sample.content if content is None else content)
-    return path
-
-
 def assert_poses(recording: Recording, frames=slice(None)) -> None:
     """The poses are those of the frames, to 1e-6 m and 1e-6 rad."""
-    assert np.allclose(recording.p_world_sensor, P[frames], rtol=0, atol=1e-6)
-    angle = (ROTATION[frames].inv() * type(ROTATION).from_matrix(recording.R_world_sensor)).magnitude()
-    assert angle.max() < 1e-6
+    contract.assert_poses(recording, Sample("", "", b""), frames)

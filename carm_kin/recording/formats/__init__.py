@@ -1,4 +1,5 @@
-"""Recording formats, found by name: every public module of this package that has a `read` is one.
+"""Recording formats, found by name: every public module of this package that has a `read` is one, and every module
+that an entry point of the group ``carm_kin.formats`` names.
 
 A format module has
 
@@ -12,37 +13,56 @@ the file name endings (".csv") by which it is chosen where the content does not 
 content fits it only if it fits no other.
 """
 
-import importlib
 import os
-import pkgutil
 from collections.abc import Sequence
 from pathlib import Path
+from types import ModuleType
 
 from carm_kin.errors import InputError, wrong_type
 from carm_kin.recording.declarations import Declarations
 from carm_kin.recording.formats import _folder
+from carm_kin.recording.formats._foreign import lines_of, read_cells
 from carm_kin.recording.formats._format import Format
 from carm_kin.recording.ingest import applied, ingest
 from carm_kin.recording.raw import Raw
 from carm_kin.recording.recording import Recording
 from carm_kin.steps import step
+from solvers.plugins import Kind, PluginError, pass_over
 
+__all__ = [
+    "FORMATS",
+    "Format",
+    "format_of",
+    "formats",
+    "lines_of",
+    "read_cells",
+    "read_recording",
+    "write_recording",
+    "writer_of",
+]
+
+FORMATS = Kind(__name__, "carm_kin.formats", needs=("SUMMARY", "matches", "read"))
 HEAD = 65536
 """Bytes of a file by which its format is told."""
 
 
 def formats() -> dict[str, Format]:
     """Every format by its name."""
-    found = {}
-    names = [module.name for module in pkgutil.iter_modules(__path__)]
-    for name in sorted(name for name in names if not name.startswith("_")):
-        module = importlib.import_module(f"{__name__}.{name}")
-        if hasattr(module, "read"):
-            holds, extensions = (tuple(getattr(module, key, ())) for key in ("HOLDS", "EXTENSIONS"))
-            write = getattr(module, "write", None)
-            general = getattr(module, "GENERAL", False)
-            found[name] = Format(name, module.SUMMARY, module.matches, module.read, write, holds, extensions, general)
-    return found
+    modules = {name: FORMATS.find(name) for name in FORMATS.names()}
+    return {name: _format(name, module) for name, module in modules.items() if hasattr(module, "read")}
+
+
+def _format(name: str, module: ModuleType) -> Format:
+    def matches(path: Path, head: bytes) -> bool:
+        try:
+            return bool(FORMATS.call(name, (), module.matches, path, head))
+        except PluginError as error:
+            pass_over(str(error))
+            return False
+
+    holds, extensions = (tuple(getattr(module, key, ())) for key in ("HOLDS", "EXTENSIONS"))
+    write, general = getattr(module, "write", None), getattr(module, "GENERAL", False)
+    return Format(name, module.SUMMARY, matches, module.read, write, holds, extensions, general)
 
 
 RecordingLike = Recording | str | os.PathLike

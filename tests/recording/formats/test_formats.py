@@ -1,7 +1,6 @@
 """Every format: what is read from a sound file, and that a broken one gives a result or one clear line."""
 
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +11,8 @@ from carm_kin.recording import ingest, session_recording, stations
 from carm_kin.recording.declarations import Declarations
 from carm_kin.recording.formats import format_of, formats, read_recording, ros, write_recording
 from carm_kin.recording.recording import Recording
+from carm_kin.testing import format as contract
+from carm_kin.testing.format import read, result_or_line
 from helpers import trackers
 from helpers.command import fails, run
 from helpers.places import ROOT
@@ -24,34 +25,6 @@ tables = pytest.mark.parametrize(
 )
 
 
-def read(path, sample) -> Recording:
-    recording = read_recording(path, declared=sample.declared)
-    (intake,) = recording.intakes
-    assert intake.kept == len(recording)
-    assert intake.frames == intake.kept + sum(drop.count for drop in intake.dropped)
-    assert recording.missing == intake.frames - intake.kept
-    return recording
-
-
-def outcome(path, format, declared) -> Recording | str:
-    """A recording, or the message of the error."""
-    try:
-        return read_recording(path, format, declared)
-    except InputError as error:
-        return str(error)
-
-
-def result_or_line(path, sample) -> Recording | None:
-    """A recording, or None where there is an error of one line that names the file."""
-    found = outcome(path, None, sample.declared)
-    if isinstance(found, str):
-        assert str(path) in found
-        assert "\n" not in found
-        assert len(found) < 600
-        return None
-    return read(path, sample)
-
-
 def test_every_format_has_a_sample():
     others = {"ros", "session"}
     assert {make().format for make in MAKERS.values()} | others == formats().keys()
@@ -59,37 +32,17 @@ def test_every_format_has_a_sample():
 
 @every
 def test_the_poses_and_times_are_read(kind, tmp_path):
-    sample = MAKERS[kind]()
-    path = written(sample, tmp_path)
-    found = format_of(path)
-    assert found is not None
-    assert found.name == sample.format
-    recording = read(path, sample)
-    assert_poses(recording)
-    assert (recording.missing, recording.intakes[0].format) == (0, sample.format)
-    assert (recording.time_s is not None) == sample.timed
-    if recording.time_s is not None:
-        assert np.allclose(np.diff(recording.time_s), np.diff(TIME), rtol=0, atol=1e-6)
+    contract.poses_and_times_are_read(MAKERS[kind](), tmp_path)
 
 
 @every
 def test_the_content_tells_the_format_whatever_the_name(kind, tmp_path):
-    sample = replace(MAKERS[kind](), file="noname.dat")
-    found = format_of(written(sample, tmp_path))
-    assert found is not None
-    assert found.name == sample.format
+    contract.content_tells_the_format(MAKERS[kind](), tmp_path)
 
 
 @every
 def test_a_file_cut_anywhere_loses_no_frame_in_silence(kind, tmp_path):
-    sample = MAKERS[kind]()
-    whole = len(sample.content)
-    for end in {*range(0, whole, max(1, whole // 60)), *range(max(0, whole - 40), whole)}:
-        content = sample.content[:end]
-        recording = result_or_line(written(sample, tmp_path, content), sample)
-        if recording is not None:
-            assert recording.intakes[0].frames >= sample.frames_in(content)
-            assert_poses(recording, recording.pose_number) if content.endswith(b"\n") else None
+    contract.cut_anywhere_it_loses_no_frame_in_silence(MAKERS[kind](), tmp_path)
 
 
 @pytest.mark.parametrize("kind", ["plus", "nrrd", "motive", "tfm"])
@@ -105,10 +58,7 @@ def test_what_the_header_announces_and_the_file_lacks_is_counted(kind, tmp_path)
 
 @every
 def test_an_empty_file_is_one_line(kind, tmp_path):
-    sample = MAKERS[kind]()
-    with pytest.raises(InputError) as error:
-        read_recording(written(sample, tmp_path, b""), sample.format, sample.declared)
-    assert "\n" not in str(error.value)
+    contract.empty_it_is_one_line(MAKERS[kind](), tmp_path)
 
 
 @every
@@ -204,26 +154,17 @@ def test_the_order_of_columns_does_not_matter_where_they_have_names(kind, tmp_pa
 
 @every
 def test_garbage_is_one_line(kind, tmp_path):
-    sample, rng = MAKERS[kind](), np.random.default_rng(0)
-    noise = rng.integers(0, 256, 50_000, dtype=np.uint8).tobytes()
-    for content in (noise, sample.content[: len(sample.content) // 2] + noise, b"\0" * 1000, bytes(range(256)) * 4):
-        path = written(sample, tmp_path, content)
-        for format in (None, sample.format):
-            found = outcome(path, format, sample.declared)
-            if isinstance(found, str):
-                assert "\n" not in found
-                assert len(found) < 600
-            else:
-                assert found.intakes[0].frames >= sample.frames_in(content[: len(sample.content) // 2])
+    contract.garbage_is_one_line(MAKERS[kind](), tmp_path)
 
 
 @every
 def test_single_bytes_that_changed_give_a_result_or_one_line(kind, tmp_path):
-    sample, rng = MAKERS[kind](), np.random.default_rng(1)
-    for _ in range(40):
-        content = bytearray(sample.content)
-        content[rng.integers(len(content))] = rng.integers(256)
-        result_or_line(written(sample, tmp_path, bytes(content)), sample)
+    contract.changed_bytes_give_a_result_or_one_line(MAKERS[kind](), tmp_path)
+
+
+@every
+def test_what_a_format_writes_it_reads_again(kind, tmp_path):
+    contract.what_is_written_is_read_again(MAKERS[kind](), tmp_path)
 
 
 @every
