@@ -20,10 +20,10 @@ FACADE, GROUND, METHODS, IN_USE, BASE = "import carm_kin", "ground", "one file a
 TOGETHER = {
     "carm_kin": FACADE,
     "carm_kin.__main__": "carm_kin.cli",
-    **{f"carm_kin.{name}": GROUND for name in ("errors", "files", "typed", "version")},
+    **{f"carm_kin.{name}": GROUND for name in ("canvas", "errors", "files", "steps", "typed", "version")},
     "solvers": METHODS,
     **{f"solvers.{name}": METHODS for name in ("closed_form", "decomposed", "direct", "kinematic", "surface")},
-    **{f"solvers.{name}": BASE for name in ("estimate", "problem", "se3", "torus")},
+    **{f"solvers.{name}": BASE for name in ("estimate", "plugins", "problem", "se3", "torus")},
     **{f"solvers.{name}": IN_USE for name in ("nearest", "still_point")},
 }
 """Modules in one box, which bears this name; any other root file has a box of its own, as every room has."""
