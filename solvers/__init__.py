@@ -6,14 +6,15 @@ point of the group ``carm_kin.solvers``. Nothing here knows a file, a URDF or a 
 """
 
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from solvers.estimate import Estimate
 from solvers.plugins import Kind
-from solvers.problem import Problem
-from solvers.torus import Torus
 
-__all__ = ["SOLVERS", "Estimate", "Problem", "Torus", "solve", "solver", "solver_names"]
+if TYPE_CHECKING:
+    from solvers.estimate import Estimate
+    from solvers.problem import Problem
+
+__all__ = ["SOLVERS", "solve", "solver", "solver_names"]
 
 SOLVERS = Kind(
     __name__,
@@ -36,6 +37,6 @@ def solver(name: str) -> ModuleType:
     return SOLVERS.find(name)
 
 
-def solve(name: str, problem: Problem, options: Any) -> Estimate:
+def solve(name: str, problem: "Problem", options: Any) -> "Estimate":
     """The estimate of the solver ``name``. Raises ValueError where it cannot solve the problem."""
     return SOLVERS.call(name, (ValueError,), solver(name).solve, problem, options)

@@ -15,6 +15,7 @@ from helpers.places import ROOT, pythonpath
 SOLVERS = sorted((ROOT / "solvers").rglob("*.py"))
 CARM_KIN = sorted((ROOT / "carm_kin").rglob("*.py"))
 STANDARD = set(sys.stdlib_module_names)
+FACADE = ROOT / "carm_kin" / "__init__.py"
 MOST_LINES = 400
 
 GROUND = tuple(f"carm_kin.{name}" for name in ("canvas", "errors", "files", "steps", "typed", "version"))
@@ -22,7 +23,7 @@ GROUND = tuple(f"carm_kin.{name}" for name in ("canvas", "errors", "files", "ste
 PLAN = {
     "carm_kin.__main__": "cli",
     "cli": "carm_kin batches calibrated calibration exports ground machine recording report results simulation streams "
-    "study solvers solvers.estimate solvers.loci solvers.se3",
+    "study solvers solvers.loci solvers.se3",
     "carm_kin": "batches calibrated calibration exports ground machine recording report results simulation study",
     "testing": "calibration exports ground recording results solvers solvers.direct solvers.estimate solvers.loci "
     "solvers.problem solvers.se3 solvers.torus",
@@ -42,7 +43,7 @@ PLAN = {
     "recording": "ground solvers.estimate solvers.plugins solvers.problem solvers.se3",
     "machine": "ground solvers.se3",
     "ground": "",
-    "solvers": "solvers.estimate solvers.plugins solvers.problem solvers.torus",
+    "solvers": "solvers.plugins",
     "solvers.verdict": "solvers.chain solvers.estimate solvers.kinematic solvers.likelihood solvers.problem "
     "solvers.se3 solvers.start solvers.torus",
     "solvers.chain": "solvers.estimate solvers.kinematic solvers.problem solvers.se3 solvers.torus",
@@ -123,10 +124,11 @@ def room_of(module: str) -> str:
 
 
 def imported_modules(path: Path) -> set[str]:
-    """Modules of the project that a file imports, wherever in it, by their names in a text too; what it names for type
-    checkers alone is no import."""
-    texts = {node.value for node in ast.walk(tree(path)) if isinstance(node, ast.Constant)}
-    found = {name for name in imports(path) if name in MODULES} | {name for name in texts & {*MODULES} if "." in name}
+    """Modules of the project that a file imports, wherever in it, the façade by the names in its table; what stands
+    there for type checkers alone is no import."""
+    found = {name for name in imports(path) if name in MODULES}
+    if path == FACADE:
+        found |= {node.value for node in ast.walk(tree(path)) if isinstance(node, ast.Constant)} & {*MODULES}
     for node in ast.walk(tree(path)):
         if isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path} imports relatively"

@@ -36,7 +36,8 @@ def solver_for(solver: str | None, locus: str = CIRCLE, urdf: str | None = None)
     """
     name = solver or (LOCUS_SOLVER if locus != CIRCLE else CHAIN if urdf is not None else "kinematic")
     if name == CHAIN and (urdf is None or locus != CIRCLE):
-        raise InputError("the solver 'chain' needs a urdf (--urdf; in Python calibrate_chain), and the locus 'circle'")
+        needs = "a urdf (--urdf; in Python calibrate_chain(recording, urdf)), and the locus 'circle'"
+        raise InputError(f"the solver 'chain' needs {needs}")
     if locus != CIRCLE and name != LOCUS_SOLVER:
         raise InputError(f"locus '{locus}' needs the solver '{LOCUS_SOLVER}', not '{name}'")
     return name

@@ -2,13 +2,15 @@
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
 from carm_kin.cli.arguments import writable
 from carm_kin.cli.terminal import WIDE, Errors, Stderr, Stdout, is_quiet, to_stdout
-from solvers.estimate import Note
+
+if TYPE_CHECKING:
+    from solvers.estimate import Note
 
 
 def ended(status: int, verdict: str, message: str) -> int:
@@ -32,7 +34,7 @@ def written(path: str | Path, what: str = "") -> None:
     Stderr().print(f"written: {path}" + (f" ({what})" if what else ""), soft_wrap=True)
 
 
-def warn(notes: Iterable[Note]) -> None:
+def warn(notes: "Iterable[Note]") -> None:
     """Say the warnings of a result."""
     from carm_kin.results.summary import show_warnings
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from carm_kin.results.parts import Provenance
 from carm_kin.results.result_json import json_text, object_of
-from carm_kin.results.summary import check_lines, printable, text_of
+from carm_kin.results.summary import Line, check_lines, printable, text_of
 from solvers.estimate import Note
 
 SCHEMA = "carm-kin/check/1"
@@ -76,11 +76,19 @@ class Check:
     """Changes that this recording cannot show, in words."""
     refusal: Note | None = None
 
+    @property
+    def verdict(self) -> str:
+        """The status in a sentence."""
+        return {
+            "passed": "passed: the saved calibration holds",
+            "failed": "failed: the saved calibration does not hold",
+            "refused": "refused: whether the saved calibration holds is not known",
+        }[self.status]
+
     def __str__(self) -> str:
         """What `carm-kin check` prints."""
-        verdicts = {"passed": "passed: the saved calibration holds", "failed": f"failed: {'; '.join(self.failures)}"}
-        last = () if self.refusal else (verdicts[self.status],)
-        return "\n".join((text_of(check_lines(self), self.warnings, self.refusal), *map(printable, last)))
+        words = text_of([*check_lines(self), Line(self.verdict)], self.warnings, self.refusal)
+        return f"{words}\n{printable('failed: ' + '; '.join(self.failures))}" if self.failures else words
 
     def __repr__(self) -> str:
         """One line."""

@@ -6,7 +6,7 @@ from typing import Any
 
 from carm_kin.results.parts import NoiseLevel, Outliers, Provenance
 from carm_kin.results.result_json import json_text, object_of
-from carm_kin.results.summary import centre_lines, in_mm, text_of
+from carm_kin.results.summary import Line, centre_lines, in_mm, text_of
 from solvers.estimate import Note
 from solvers.se3 import Array
 
@@ -92,13 +92,25 @@ class VirtualCentre:
 
     def __str__(self) -> str:
         """What `carm-kin centre` prints."""
-        words = text_of(centre_lines(self), self.warnings, self.refusal)
-        if self.status == "fixed":
-            return f"{words}\nfixed: one point of the C-arm stands still"
-        if self.refusal or not self.spread:
-            return words
+        words = text_of([*centre_lines(self), Line(self.verdict)], self.warnings, self.refusal)
+        return f"{words}\nnot fixed: {self.motion}" if self.motion else words
+
+    @property
+    def verdict(self) -> str:
+        """The status in a sentence."""
+        return {
+            "fixed": "fixed: one point of the C-arm stands still",
+            "not_fixed": "not fixed: no point of the C-arm stands still",
+            "refused": "refused: whether a point stands still is not known",
+        }[self.status]
+
+    @property
+    def motion(self) -> str:
+        """How far the stillest point moves, in words; "" where one stands still or this is not known."""
+        if self.status != "not_fixed" or not self.spread:
+            return ""
         moves = f"{self.spread.beyond_noise_m * 1e3:.2f} mm (rms) beyond the noise"
-        return f"{words}\nnot fixed: no point stands still: the one that moves least moves by {moves}"
+        return f"no point stands still: the one that moves least moves by {moves}"
 
     def __repr__(self) -> str:
         """One line."""
