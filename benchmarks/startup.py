@@ -24,7 +24,7 @@ RUNS = 15
 NOTES = """Medians of whole processes, from their start to their end, one after the other in turns, each of one thread,
 with the compiled files of Python in place. The calibration is that of the demo's recording, its result written as JSON.
 The last rows are what nothing of this project can lower: Python itself, NumPy, and a command of typer with nothing in
-it, as its help and as a run, for which typer imports pydantic. On a machine that does nothing else the time by the
+it, as its help and as a run. On a machine that does nothing else the time by the
 clock is that of the processor."""
 
 EMPTY = """import typer

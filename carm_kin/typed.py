@@ -73,6 +73,12 @@ def above_zero(named: str, value: float | None, unit: float) -> float | None:
     return value * unit
 
 
+def check_from_zero(named: str, value: float | None) -> None:
+    """Raise InputError for a value that is not a finite number from 0 on."""
+    if value is not None and not 0 <= value < inf:
+        raise InputError(f"{named} must be a finite number from 0 on, not {value}")
+
+
 def _fits(kind: Any, value: Any) -> bool:
     if kind in (bool, str, NoneType):
         return isinstance(value, kind)

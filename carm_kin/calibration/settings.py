@@ -6,7 +6,7 @@ The command, a batch, a comparison and `carm_kin.calibrate` take their rules fro
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from math import inf, radians
+from math import radians
 from typing import Any
 
 import solvers
@@ -14,7 +14,7 @@ from carm_kin.calibration.options import options_of
 from carm_kin.errors import InputError
 from carm_kin.recording.recording import Recording
 from carm_kin.results.provenance import command_line
-from carm_kin.typed import above_zero
+from carm_kin.typed import above_zero, check_from_zero
 from solvers.plugins import PluginError
 
 CHAIN = "chain"
@@ -105,9 +105,7 @@ class Settings:
         for key in ("sigma_t_mm", "sigma_r_deg"):
             above_zero(named(key), getattr(self, key), 1.0)
         for key in ("sigma_reading_deg", "sigma_reading_mm"):
-            value = getattr(self, key)
-            if value is not None and not 0 <= value < inf:
-                raise InputError(f"{named(key)} must be a finite number from 0 on, not {value}")
+            check_from_zero(named(key), getattr(self, key))
         if self.cross_validate is not None and self.cross_validate < 2:
             raise InputError(f"{named('cross_validate')} needs at least 2 parts, not {self.cross_validate}")
         options_of(options_class(name), name, self.options)

@@ -13,6 +13,7 @@ from carm_kin.cli.options import grouped
 from carm_kin.cli.output import warn, written
 from carm_kin.cli.report import ReportOptions, report_options
 from carm_kin.cli.terminal import Stderr, Stdout, to_stdout
+from carm_kin.typed import check_from_zero
 
 
 def register(app: typer.Typer) -> None:
@@ -74,6 +75,10 @@ def simulate(
     seed: Seed = 0,
 ) -> None:
     """Simulate a recording of a C-arm, with its truth beside it."""
+    check_from_zero("--sigma-t-mm", sigma_t_mm)
+    check_from_zero("--sigma-r-deg", sigma_r_deg)
+    check_from_zero("--sigma-reading-deg", sigma_reading_deg)
+    check_from_zero("--sigma-reading-mm", sigma_reading_mm)
     truth_file = writable(writable(out).with_suffix(".truth.json"))
     recording, truth = carm_kin.simulate(
         urdf,
