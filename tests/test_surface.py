@@ -214,6 +214,17 @@ def test_print_gives_what_check_and_centre_print(folder, capsys, name):
         assert [line.rstrip() for line in str(found).splitlines()] == shown.splitlines()
 
 
+def test_print_gives_the_tables_that_compare_prints(folder, capsys):
+    arguments = "--solvers", "surface,closed_form", "--folds", 0, "--all-poses"
+    shown = printed(capsys, "compare", folder / "rec.csv", *arguments).splitlines()
+    found = str(carm_kin.compare(folder / "rec.csv", ["surface", "closed_form"], folds=None)).splitlines()
+    residuals = next(k for k, line in enumerate(found) if line.startswith("Residuals"))  # its table holds times
+    first, last = found[:residuals], found[residuals + 6 :]
+    assert len(first) > 10
+    assert any("closed_form" in line for line in last)
+    assert [line for line in first + last if line not in shown] == []
+
+
 def test_a_repr_is_one_short_line(folder, recording, result):
     refused = carm_kin.read_result(folder / "refused.json")
     every = [recording, result, refused, carm_kin.Machine(MACHINE), carm_kin.check(result, recording)]

@@ -170,13 +170,8 @@ def _recording(
     console.print(f"{len(recording)} poses, the same for every solver; {left_out} left out that disagree")
     for table in compare_view.tables(found):
         console.print(table)
-    if found.counted < found.poses:
-        console.print(f"residuals and held-out errors are of the {found.counted} poses that agree")
-    for run in found.runs:
-        if run.reason:
-            console.print(f"{run.solver}: {run.reason.message}", soft_wrap=True)
-        if run.errors_reason:
-            console.print(f"{run.solver}: no errors of poses: {run.errors_reason}", soft_wrap=True)
+    for line in compare_view.remarks(found):
+        console.print(line, soft_wrap=True)
     if not any(run.result for run in found.runs):
         raise RefusedError("no_result", "no solver has a result")
 

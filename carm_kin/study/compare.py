@@ -23,12 +23,11 @@ from carm_kin.results.parts import Provenance
 from carm_kin.results.provenance import provenance_of
 from carm_kin.results.result import CalibrationResult, ResultLike, as_result
 from carm_kin.results.result_json import json_text, object_of
+from carm_kin.study import compare_view
+from carm_kin.study.compare_view import REFERENCE, TRUTH
 from solvers.estimate import Note
 
 SCHEMA = "carm-kin/comparison/1"
-TRUTH = "truth"
-REFERENCE = "kinematic"
-"""The solver by which poses that disagree are told, and beside which the others are shown."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +61,10 @@ class Comparison:
     differences: tuple[Difference, ...]
     """Of every two solvers, and of every solver and the truth."""
     provenance: Provenance
+
+    def __str__(self) -> str:
+        """The tables that `carm-kin compare` prints, and why a solver has no answer."""
+        return compare_view.text_of(self)
 
     def __repr__(self) -> str:
         """One line."""

@@ -1,18 +1,29 @@
-"""A comparison of solvers as tables for the terminal and as rows of a CSV file."""
+"""A comparison of solvers as tables for the terminal, as text, and as rows of a CSV file."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich import box
+from rich.console import Console
 from rich.table import Table
 
 from carm_kin.results.differences import MAJOR_RADIUS, MINOR_RADIUS, OFFSET, ORBITAL_AXIS, Difference
 from carm_kin.results.result import CalibrationResult
 from carm_kin.results.rows import Cell, cells
-from carm_kin.study.compare import REFERENCE, TRUTH, Comparison, Run
+from carm_kin.results.summary import printable
+
+if TYPE_CHECKING:
+    from carm_kin.study.compare import Comparison, Run
 
 NONE = "-"
+TRUTH = "truth"
+REFERENCE = "kinematic"
+"""The solver by which poses that disagree are told, and beside which the others are shown."""
+WIDE = 10_000
+"""Columns at which no table is cut."""
 
 
 @dataclass(frozen=True)
@@ -26,13 +37,13 @@ class Apart:
     """In those of the other."""
 
 
-def reference_of(comparison: Comparison) -> str:
+def reference_of(comparison: "Comparison") -> str:
     """The solver beside which the others are shown."""
     good = [run.solver for run in comparison.runs if run.result]
     return REFERENCE if REFERENCE in good or not good else good[0]
 
 
-def apart_from(comparison: Comparison, other: str) -> dict[str, dict[str, Apart]]:
+def apart_from(comparison: "Comparison", other: str) -> dict[str, dict[str, Apart]]:
     """Solver -> quantity -> how far it is from ``other``: a solver, or the truth."""
     found: dict[str, dict[str, Apart]] = {}
     for d in comparison.differences:
@@ -43,7 +54,7 @@ def apart_from(comparison: Comparison, other: str) -> dict[str, dict[str, Apart]
     return found
 
 
-def tables(comparison: Comparison) -> list[Table]:
+def tables(comparison: "Comparison") -> list[Table]:
     """Numbers, axes, quality, and the differences to the reference and to the truth."""
     reference = reference_of(comparison)
     results = {run.solver: run.result for run in comparison.runs if run.result}
@@ -53,7 +64,30 @@ def tables(comparison: Comparison) -> list[Table]:
     return [table for table in found if table.row_count]
 
 
-def rows_of(comparison: Comparison) -> list[dict[str, Cell]]:
+def remarks(comparison: "Comparison") -> list[str]:
+    """Below the tables: which poses count, and why a solver has no answer or no errors."""
+    found = []
+    if comparison.counted < comparison.poses:
+        found.append(f"residuals and held-out errors are of the {comparison.counted} poses that agree")
+    for run in comparison.runs:
+        if run.reason:
+            found.append(f"{run.solver}: {run.reason.message}")
+        if run.errors_reason:
+            found.append(f"{run.solver}: no errors of poses: {run.errors_reason}")
+    return found
+
+
+def text_of(comparison: "Comparison") -> str:
+    """The tables and remarks, without colour."""
+    file = io.StringIO()
+    console = Console(file=file, width=WIDE, highlight=False, markup=False, emoji=False)
+    for table in tables(comparison):
+        console.print(table)
+    lines = [line.rstrip() for line in file.getvalue().splitlines()]
+    return "\n".join((*lines, *map(printable, remarks(comparison))))
+
+
+def rows_of(comparison: "Comparison") -> list[dict[str, Cell]]:
     """A row for each solver: its numbers, quality, and errors where the truth is known."""
     errors = apart_from(comparison, TRUTH)
     return [_row(run, errors.get(run.solver, {})) for run in comparison.runs]
@@ -85,7 +119,7 @@ def _axes(results: dict[str, CalibrationResult]) -> Table:
     return table
 
 
-def _quality(runs: Sequence[Run]) -> Table:
+def _quality(runs: "Sequence[Run]") -> Table:
     names = ("used", "residual mm", "deg", "held out mm", "deg", "time ms")
     table = empty_table("Residuals, held-out pose errors, time", "solver", *names)
     for run in runs:
@@ -104,7 +138,7 @@ def _quality(runs: Sequence[Run]) -> Table:
     return table
 
 
-def _differences(title: str, sigmas: str, comparison: Comparison, other: str) -> Table:
+def _differences(title: str, sigmas: str, comparison: "Comparison", other: str) -> Table:
     found = apart_from(comparison, other)
     table = empty_table(title, "", *found)
     for quantity in dict.fromkeys(quantity for one in found.values() for quantity in one):
@@ -124,7 +158,7 @@ def _in_sigmas(cell: Apart, other: str) -> str:
     return ", ".join(NONE if sigmas is None else f"{sigmas:.1f}" for sigmas in both)
 
 
-def _row(run: Run, errors: dict[str, Apart]) -> dict[str, Cell]:
+def _row(run: "Run", errors: dict[str, Apart]) -> dict[str, Cell]:
     fitted, held, reason = run.fitted, run.held_out, run.reason
     row: dict[str, Cell] = cells(run.result.to_dict() if run.result else None) | {"solver": run.solver}
     row |= {"code": reason.code if reason else "", "reason": reason.message if reason else "", "time_s": run.time_s}
