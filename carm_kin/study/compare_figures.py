@@ -7,8 +7,7 @@ import numpy as np
 from carm_kin.report.static import COLOURS, figure
 from carm_kin.results.result import CalibrationResult
 from carm_kin.study.compare import Comparison
-from carm_kin.study.compare_view import TRUTH
-from carm_kin.study.compare_view import reference_of
+from carm_kin.study.compare_view import TRUTH, reference_of
 from carm_kin.study.monte_carlo_result import Study
 from carm_kin.study.monte_carlo_view import NUMBERS, Number, scaled
 
