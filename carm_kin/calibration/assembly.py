@@ -38,8 +38,10 @@ def result_of(
     ok = assessment.refusal is None
     used = np.ones(len(recording), dtype=bool) if estimate.used is None else estimate.used
     torus, values = estimate.torus, assessment.singular_values
+    parts = assessment.left_out if assessment.left_out and assessment.left_out.disagree else None
+    covariance = parts.widened(estimate.covariance) if parts and estimate.covariance else estimate.covariance
     return CalibrationResult(
-        status="ok" if ok else "refused",
+        status="refused" if not ok else "doubtful" if parts else "ok",
         solver=estimate.solver,
         options=options,
         offset_sensor_pivot_m=estimate.offset if ok else None,
@@ -51,8 +53,8 @@ def result_of(
         placements=_placements(recording, estimate) if ok else (),
         T_sensor_carm=torus.T_sensor_carm if ok and torus else None,
         orbital_referenced=torus.orbital_referenced if torus else False,
-        sigma=sigma_of(estimate.covariance, len(estimate.center)) if ok else Sigma(),
-        covariance=estimate.covariance if ok else None,
+        sigma=sigma_of(covariance, len(estimate.center)) if ok else Sigma(),
+        covariance=covariance if ok else None,
         noise=NoiseLevel(assessment.sigma_t, assessment.sigma_r, None in (problem.sigma_t, problem.sigma_r)),
         residuals=_residuals("overall", assessment, slice(None), assessment.chi2_per_dof),
         residuals_per_sweep=_residuals_per_sweep(recording, assessment),
@@ -66,6 +68,7 @@ def result_of(
             *recording.warnings,
             *estimate.notes,
             *assessment.notes,
+            *((parts.note,) if parts else ()),
             *contradicted(recording.intakes, assessment.notes),
             *_notes(estimate, ok),
         ),

@@ -9,7 +9,7 @@ import typer
 from carm_kin.cli.arguments import AsJson, writable
 from carm_kin.cli.names import Naming
 from carm_kin.cli.options import grouped
-from carm_kin.cli.output import check_place, deliver, results, warn, written
+from carm_kin.cli.output import check_place, deliver, ended, results, warn, written
 from carm_kin.cli.reading import How, reading_options
 from carm_kin.cli.report import ReportOptions, report_options
 from carm_kin.cli.settings import CHAIN_PANEL, named, settings_options
@@ -63,3 +63,5 @@ def calibrate(
     warn(result.warnings)
     if result.refusal:
         raise RefusedError(result.refusal.code, result.refusal.message)
+    if result.status == "doubtful":
+        raise typer.Exit(ended(3, "doubtful", "the parts of the recording disagree (see the warning parts_disagree)"))

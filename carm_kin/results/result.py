@@ -52,7 +52,7 @@ class CalibrationResult:
     that says why; a refused result has none at all."""
 
     status: str
-    """``ok`` or ``refused``."""
+    """``ok``; ``doubtful`` where the parts of the recording disagree by more than the noise explains; ``refused``."""
     solver: str
     options: Mapping[str, Any]
     offset_sensor_pivot_m: Array | None
@@ -196,8 +196,8 @@ def _contradiction(result: CalibrationResult, interval_m: tuple[float, ...] | No
     numbers = [result.offset_sensor_pivot_m, result.axis_non_orthogonality_rad, result.covariance, *unit, *rigid]
     numbers += lengths
     checks = {
-        "status must be 'ok' without a refusal or 'refused' with one": result.status
-        != ("refused" if refused else "ok"),
+        "status must be 'ok' or 'doubtful' without a refusal, or 'refused' with one": result.status
+        not in (("refused",) if refused else ("ok", "doubtful")),
         "a refused result must hold no numbers": refused and any(x is not None for x in numbers),
         "an axis is no unit vector": any(x is not None and abs(x @ x - 1) > TOLERANCE for x in unit),
         "a transform is no rigid motion": any(x is not None and not _is_rigid(x) for x in rigid),

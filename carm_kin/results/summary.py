@@ -160,7 +160,7 @@ def centre_lines(found: "VirtualCentre") -> list[Line]:
 
 
 def _verdict(status: str) -> tuple[str, str]:
-    return f"{status}: ", "bold green" if status == "ok" else "bold red"
+    return f"{status}: ", {"ok": "bold green", "doubtful": "bold yellow"}.get(status, "bold red")
 
 
 def _indented(rows: Sequence[Row]) -> list[Line]:

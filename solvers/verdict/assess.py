@@ -19,6 +19,7 @@ from solvers.start.axes import ambiguous
 from solvers.torus import Torus
 from solvers.verdict.bump import bump_of
 from solvers.verdict.diagnose import LABELS, base_moved_at, causes_of
+from solvers.verdict.held_out import LeftOut, left_out
 from solvers.verdict.limits import Limits, misfit, uncertain
 from solvers.verdict.observability import AMBIGUOUS, in_words, joints_at_rest, thickness, turns_about_one_axis
 from solvers.verdict.residuals import neighbour_correlation, residual_notes
@@ -46,6 +47,8 @@ class Assessment:
     notes: tuple[Note, ...]
     """What the residuals and the rejected poses show."""
     refusal: Note | None
+    left_out: LeftOut | None = None
+    """How the parts of the recording agree; None where it is refused, has no covariance, or too few parts."""
 
 
 def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> Assessment:
@@ -95,6 +98,7 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
     causes = moved if bump and bump.harmful else causes
     fitted = estimate.covariance is not None and not refusal and not causes
     clean = residual_notes(part, angles, residual, at.redundancy[0]) if fitted else ()
+    parts = left_out(torus, angles, part, sigma, active, estimate.covariance) if fitted else None
     return Assessment(
         angles=_spread(angles.T, used),
         position_residual=_spread(residual[:3].T, used),
@@ -106,6 +110,7 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         unobservable=unobservable,
         notes=(*_rejections(used, moved_at, limits), *(causes or moved), *clean),
         refusal=_with_causes(refusal, causes, used, limits),
+        left_out=parts,
     )
 
 
