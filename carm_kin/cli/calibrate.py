@@ -14,6 +14,7 @@ from carm_kin.cli.reading import How, reading_options
 from carm_kin.cli.report import ReportOptions, report_options
 from carm_kin.cli.settings import CHAIN_PANEL, named, settings_options
 from carm_kin.errors import RefusedError
+from carm_kin.typed import above_zero
 
 
 def register(app: typer.Typer) -> None:
@@ -33,6 +34,9 @@ def calibrate(
     urdf_out: Annotated[
         Path | None, typer.Option(help="Write the calibrated URDF here.", rich_help_panel=CHAIN_PANEL)
     ] = None,
+    tolerance_mm: Annotated[
+        float | None, typer.Option(help="Status 3 where the offset may be off by more than this (95%).")
+    ] = None,
     as_json: AsJson = None,
 ) -> None:
     """Calibrate a recording: offset, radii, axes, and how good they are."""
@@ -43,6 +47,7 @@ def calibrate(
 
     check_place(as_json)
     pages.check()
+    tolerance_m = above_zero("--tolerance-mm", tolerance_mm, 1e-3)
     settings = Settings(**given)
     settings.check(named)
     if urdf_out and settings.solver_name != CHAIN:
@@ -65,3 +70,7 @@ def calibrate(
         raise RefusedError(result.refusal.code, result.refusal.message)
     if result.status == "doubtful":
         raise typer.Exit(ended(3, "doubtful", "the parts of the recording disagree (see the warning parts_disagree)"))
+    within_m = result.offset_within_95_m
+    if tolerance_m is not None and (within_m is None or within_m > tolerance_m):
+        may = "has no known uncertainty" if within_m is None else f"may be off by {within_m * 1e3:.3g} mm (95%)"
+        raise typer.Exit(ended(3, "not within tolerance", f"the offset {may}; the tolerance is {tolerance_mm:g} mm"))

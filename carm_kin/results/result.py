@@ -32,7 +32,7 @@ from carm_kin.results.result_json import (
 )
 from carm_kin.results.summary import in_mm, result_lines, result_rows, text_of
 from solvers.estimate import Covariance, Note
-from solvers.likelihood.covariance import interval_of_magnitude
+from solvers.likelihood.covariance import interval_of_magnitude, radius_95
 from solvers.se3 import Array
 
 if TYPE_CHECKING:
@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 
 SCHEMA = "carm-kin/result/1"
 NOT_IN_FILE = ("angles_rad",)
-INTERVAL = "major_radius_interval_95_m"
-"""Written to the file although it follows from other numbers there."""
+INTERVAL, WITHIN = "major_radius_interval_95_m", "offset_within_95_m"
+"""Written to the file although they follow from other numbers there."""
 TOLERANCE = 1e-6
 """How far the axes and rotations of a file may be from unit length and orthonormality."""
 
@@ -122,6 +122,14 @@ class CalibrationResult:
         """The 95% interval of |R|; it begins at 0, one-sided, where R is not told from 0. None without a sigma."""
         return _interval(self.major_radius_m, self.sigma.major_radius_m)
 
+    @property
+    def offset_within_95_m(self) -> float | None:
+        """How far off the offset may be: the radius of the ball about it that holds the true one with 95%, by the
+        stated covariance. None without one."""
+        if self.covariance is None or not len(self.covariance.block("offset")):
+            return None
+        return radius_95(self.covariance.block("offset"))
+
     def to_dict(self) -> dict[str, Any]:
         """The content of the JSON file: mm and degrees, units in the names."""
         written = [f.name for f in fields(self) if f.name not in NOT_IN_FILE]
@@ -130,6 +138,7 @@ class CalibrationResult:
         data["residuals"] = {"overall": data["residuals"], "per_sweep": data.pop("residuals_per_sweep")}
         interval_mm = _interval(data["major_radius_mm"], data["sigma"]["major_radius_mm"])
         data[name_in_file(INTERVAL)] = to_json_value(interval_mm)
+        data[name_in_file(WITHIN)] = to_json_value(self.offset_within_95_m, WITHIN)
         return data
 
     def to_json(self, path: str | os.PathLike | None = None) -> str:
@@ -155,6 +164,7 @@ class CalibrationResult:
             if not isinstance(residuals, dict) or residuals.keys() != {"overall", "per_sweep"}:
                 raise InputError("'residuals' must be an object with 'overall' and 'per_sweep'")
             data |= {"residuals": residuals["overall"], "residuals_per_sweep": residuals["per_sweep"]}
+            data.pop(name_in_file(WITHIN), None)
             key = name_in_file(INTERVAL)
             if key not in data:
                 raise InputError(f"the result: '{key}' is missing")

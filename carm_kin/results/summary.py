@@ -202,6 +202,7 @@ def _held_out(row: HeldOut) -> str:
 def _numbers(result: "CalibrationResult") -> list[Row]:
     sigma = result.sigma
     rows = _vector("offset sensor to rotation centre", result.offset_sensor_pivot_m, sigma.offset_sensor_pivot_m)
+    rows += _length("offset off by at most (95%)", result.offset_within_95_m, None)
     rows += _major_radius(result)
     rows += _length("minor radius", result.minor_radius_m, sigma.minor_radius_m)
     skew = result.axis_non_orthogonality_rad

@@ -30,7 +30,7 @@ from solvers.likelihood.covariance import NORMAL_95
 
 DESIGN_KEYS = {
     "schema", "status", "solver", "options", "offset_sensor_pivot_mm", "major_radius_mm",
-    "major_radius_signed_mm", "major_radius_interval_95_mm", "minor_radius_mm",
+    "major_radius_signed_mm", "major_radius_interval_95_mm", "offset_within_95_mm", "minor_radius_mm",
     "axis_non_orthogonality_deg", "orbital_axis_sensor", "placements", "T_sensor_carm", "orbital_referenced",
     "sigma", "covariance", "noise", "residuals", "poses", "used", "outliers", "observability", "warnings",
     "refusal", "provenance", "cross_validation", "chain",
