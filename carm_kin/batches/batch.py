@@ -12,14 +12,14 @@ from typing import Any
 
 from carm_kin.batches.entries import Entry, entries
 from carm_kin.batches.job import Report, calibrate_file, key_of, versions
-from carm_kin.batches.journal import FAILED, FINAL, KILLED, OK, REFUSED, Journal, Line
+from carm_kin.batches.journal import FAILED, FINAL, KILLED, OK, PARTIAL, REFUSED, Journal, Line
 from carm_kin.batches.pool import Job, Outcome, WorkerKilledError, Workers, run
 from carm_kin.batches.summary import row_of, summary_files, write_summary
 from carm_kin.errors import InputError
 from carm_kin.files import write_atomically
 
 JOURNAL, SUMMARY = "state.jsonl", "summary"
-FOLDERS = {OK: "results", REFUSED: "refused"}
+FOLDERS = {OK: "results", PARTIAL: "partial", REFUSED: "refused"}
 """Where the result of each status goes, so that ``results`` has what can be used and nothing else."""
 
 

@@ -10,8 +10,8 @@ from carm_kin.errors import InputError
 from carm_kin.files import write_atomically
 from carm_kin.typed import record
 
-OK, REFUSED, BAD_INPUT, FAILED, KILLED = "ok", "refused", "bad_input", "failed", "killed"
-FINAL = (OK, REFUSED, BAD_INPUT)
+OK, PARTIAL, REFUSED, BAD_INPUT, FAILED, KILLED = "ok", "partial", "refused", "bad_input", "failed", "killed"
+FINAL = (OK, PARTIAL, REFUSED, BAD_INPUT)
 """What would come out again, the input being the same."""
 MAX_BYTES = 1_000_000_000
 
@@ -24,7 +24,7 @@ class Line:
     input: str
     """Its path as it was given."""
     status: str
-    """ok, refused, bad_input, failed (a defect of ours, or no memory left) or killed (its worker died)."""
+    """ok, partial (a part of the offset is told), refused, bad_input, failed (a defect of ours, or no memory left) or killed (its worker died)."""
     code: str
     """That of the refusal, or the name of the error; "" where the reason needs none."""
     reason: str
