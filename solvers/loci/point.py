@@ -11,7 +11,7 @@ from solvers.estimate import Covariance, Estimate, Told
 from solvers.loci import reported_by_name
 from solvers.problem import Problem
 from solvers.se3 import Array
-from solvers.verdict.told import Turned, basis, turn_noise, turned
+from solvers.told import Turned, basis, turn_noise, turned
 
 LEAST_POSES = 4
 """Fewer leave nothing of which a covariance could be made."""

@@ -8,7 +8,7 @@ from solvers.problem import Problem
 from solvers.verdict.limits import Limits, uncertain
 from solvers.verdict.misread import misreadings
 from solvers.verdict.residuals import correlated, correlation
-from solvers.verdict.told import MIN_ARC_RAD, least_arc, turn_noise, turned
+from solvers.told import MIN_ARC_RAD, least_arc, turn_noise, turned
 
 QUIET_M = 0.001
 """Residuals below this are not asked for a cause, unless poses were rejected or neighbours agree."""
