@@ -116,7 +116,10 @@ def fit(problem: Problem, directions: Array, turn: float, turn_variance: float) 
     for _ in range(STEPS):
         t, c = equation.solved(t, c, noise, weighted)
         before, (noise, weighted) = noise, equation.noise(t, c)
-        if abs(noise.along - before.along) <= 1e-6 * before.along and abs(noise.turn - before.turn) <= 1e-6 * noise.turn:
+        if (
+            abs(noise.along - before.along) <= 1e-6 * before.along
+            and abs(noise.turn - before.turn) <= 1e-6 * noise.turn
+        ):
             break
     return equation.answer(t, c, noise, weighted)
 

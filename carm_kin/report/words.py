@@ -57,7 +57,9 @@ def _told(told: ToldOffset | None) -> tuple[Row, ...]:
     """What of an offset is told, and where the line lies that it leaves."""
     if told is None:
         return ()
-    rows = [_row(f"Offset along {_of(d.direction_sensor)}", [d.offset_m * 1e3], [d.sigma_m * 1e3], "mm") for d in told.told]
+    rows = [
+        _row(f"Offset along {_of(d.direction_sensor)}", [d.offset_m * 1e3], [d.sigma_m * 1e3], "mm") for d in told.told
+    ]
     for direction, sigma in zip(told.untold_directions_sensor, told.untold_sigma_rad, strict=True):
         rows.append(Row(f"Offset along {_of(direction)}", ("not told",), (), ""))
         if len(told.untold_directions_sensor) == 1:

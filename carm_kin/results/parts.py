@@ -51,6 +51,7 @@ class ToldDirection:
     offset_m: float
     """The offset along it."""
     sigma_m: float
+    """Within 250 mm of the sensor along the untold direction, which may be off by its own sigma."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -216,7 +216,9 @@ def _numbers(result: "CalibrationResult") -> list[Row]:
     if skew is not None:
         skew_sigma = _degrees(sigma.axis_non_orthogonality_rad)
         fixed = skew_sigma == 0.0
-        rows.append(_row("non-orthogonality", np.degrees(skew), None if fixed else skew_sigma, FIXED if fixed else "deg"))
+        rows.append(
+            _row("non-orthogonality", np.degrees(skew), None if fixed else skew_sigma, FIXED if fixed else "deg")
+        )
     rows += _direction("orbital axis in the sensor", result.orbital_axis_sensor, sigma.orbital_axis_sensor)
     for k, placement in enumerate(result.placements):
         one = sigma.placements[k] if sigma.placements else None

@@ -15,6 +15,9 @@ from solvers.told import Turned, basis, turn_noise, turned
 
 LEAST_POSES = 4
 """Fewer leave nothing of which a covariance could be made."""
+REACH_M = 0.25
+"""What is told of the offset holds within its sigma for a pivot that is no farther from the sensor along the untold
+direction, which leans."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ class Locus:
         noise = turn_noise(part)
         seen = turned(part, noise.sigma)
         kept = basis(seen)
-        found = pivot.fit(part, kept, noise.sigma**2, noise.sigma_of_square)
+        found = pivot.fit(part, kept, noise.sigma**2, noise.sigma_of_square**2)
         told, whole = _told(found, kept, seen, len(part)), len(kept) == 3
         return Estimate(
             "direct",
@@ -94,6 +97,7 @@ def _told(found: pivot.Pivot, kept: Array, seen: Turned, poses: int) -> Told:
     most = max(float(seen.spread[0]), np.finfo(float).tiny)
     # a null vector of S leans by the mean of what is left along it over what turns across it
     lean = np.sqrt((seen.spread[~seen.told] + 2 * found.noise.turn) / most / poses)
+    variance = variance + (REACH_M * lean.max(initial=0.0)) ** 2
     return Told(kept, kept @ found.t, np.sqrt(variance), _facing(seen.directions[~seen.told]), lean)
 
 

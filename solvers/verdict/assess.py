@@ -175,9 +175,7 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
     )
 
 
-def _assess_point(
-    problem: Problem, part: Problem, estimate: Estimate, used: np.ndarray, limits: Limits
-) -> Assessment:
+def _assess_point(problem: Problem, part: Problem, estimate: Estimate, used: np.ndarray, limits: Limits) -> Assessment:
     """The verdict on a fixed point."""
     residual = estimate.residual if estimate.residual is not None else np.full((len(part), 3), np.nan)
     refusal = of_point.refusal_of(part, estimate, limits)
@@ -196,7 +194,11 @@ def _assess_point(
         chi2_per_dof=of_point.chi2_per_dof(part, estimate),
         singular_values=np.zeros(0),
         unobservable=estimate.unobservable,
-        notes=(*_rejections(used, None, limits), *causes, *(() if refusal else of_point.residual_notes(part, estimate))),
+        notes=(
+            *_rejections(used, None, limits),
+            *causes,
+            *(() if refusal else of_point.residual_notes(part, estimate)),
+        ),
         refusal=refusal,
     )
 

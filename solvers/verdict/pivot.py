@@ -132,5 +132,3 @@ def _typical_distance(problem: Problem) -> float:
 
 def _neighbours(part: Problem) -> np.ndarray:
     return np.diff(part.placement) == 0
-
-

@@ -109,13 +109,17 @@ def no_wrong_ok(kind, seeds):
     return [result.status for _, _, result in results]
 
 
-@pytest.mark.parametrize("kind, status", [("cone", "ok"), ("spun", "partial"), ("plane", "partial"), ("still", "refused")])
+@pytest.mark.parametrize(
+    "kind, status", [("cone", "ok"), ("spun", "partial"), ("plane", "partial"), ("still", "refused")]
+)
 def test_no_wrong_ok(kind, status):
     assert set(no_wrong_ok(kind, range(10))) == {status}
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("kind, status", [("cone", "ok"), ("spun", "partial"), ("plane", "partial"), ("still", "refused")])
+@pytest.mark.parametrize(
+    "kind, status", [("cone", "ok"), ("spun", "partial"), ("plane", "partial"), ("still", "refused")]
+)
 def test_no_wrong_ok_in_a_hundred(kind, status):
     assert set(no_wrong_ok(kind, range(100))) == {status}
 
@@ -164,7 +168,9 @@ def test_noisy_orientations_do_not_draw_the_tip_to_the_sensor():
     assert np.median(drawn) > 2
 
 
-@pytest.mark.parametrize("sigma", [(1e-6, np.radians(0.5)), (5e-4, 1e-5)], ids=["exact positions", "exact orientations"])
+@pytest.mark.parametrize(
+    "sigma", [(1e-6, np.radians(0.5)), (5e-4, 1e-5)], ids=["exact positions", "exact orientations"]
+)
 def test_the_covariance_for_any_ratio_of_the_noises(sigma):
     square = []
     for seed in range(12):
