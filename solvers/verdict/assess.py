@@ -17,10 +17,10 @@ from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.start.axes import ambiguous
 from solvers.torus import Torus
+from solvers.verdict import pivot as of_point
 from solvers.verdict.bump import bump_of
 from solvers.verdict.diagnose import LABELS, base_moved_at, causes_of
 from solvers.verdict.limits import Limits, misfit, uncertain
-from solvers.verdict import pivot as of_point
 from solvers.verdict.observability import AMBIGUOUS, in_words, joints_at_rest, thickness, turns_about_one_axis
 from solvers.verdict.residuals import neighbour_correlation, residual_notes
 

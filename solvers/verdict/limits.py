@@ -6,7 +6,6 @@ import numpy as np
 
 from solvers.estimate import Covariance, Note
 
-
 MEANINGLESS_M = 1.0
 """A standard deviation above this is no number."""
 

@@ -5,10 +5,10 @@ import numpy as np
 from solvers import pivot
 from solvers.estimate import Estimate, Note
 from solvers.problem import Problem
+from solvers.told import MIN_ARC_RAD, least_arc, turn_noise, turned
 from solvers.verdict.limits import Limits, uncertain
 from solvers.verdict.misread import misreadings
 from solvers.verdict.residuals import correlated, correlation
-from solvers.told import MIN_ARC_RAD, least_arc, turn_noise, turned
 
 QUIET_M = 0.001
 """Residuals below this are not asked for a cause, unless poses were rejected or neighbours agree."""

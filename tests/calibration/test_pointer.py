@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 import carm_kin
 from carm_kin.errors import InputError, RefusedError
 from carm_kin.recording.recording import Recording
-from carm_kin.report import write_report
 from helpers.command import run
 from helpers.places import DATA
 from helpers.pointers import pointer, with_outliers
