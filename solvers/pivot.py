@@ -92,7 +92,7 @@ def least_squares(problem: Problem, used: np.ndarray) -> tuple[Array, Array]:
             dR, dp = R[here] - R[here].mean(axis=0), p[here] - p[here].mean(axis=0)
             S += np.einsum("nij,nik->jk", dR, dR)
             b += np.einsum("nij,ni->j", dR, dp)
-    t = np.linalg.lstsq(S, -b, rcond=1e-12)[0]
+    t = np.asarray(np.linalg.lstsq(S, -b, rcond=1e-12)[0], dtype=float)
     v = p + R @ t
     some = [used & (placement == k) for k in range(problem.placements)]
     c = [v[here].mean(axis=0) if here.any() else np.median(v[placement == k], axis=0) for k, here in enumerate(some)]
@@ -144,7 +144,7 @@ class _Equation:
         """The root for this noise, by Newton's method from t and c."""
         slope = self._slope(t, c, noise, weighted)
         for _ in range(STEPS):
-            step = -np.linalg.solve(slope, self._sum(t, c, noise, weighted))
+            step = np.asarray(-np.linalg.solve(slope, self._sum(t, c, noise, weighted)), dtype=float)
             t, c = self._moved(t, c, step)
             if np.abs(step).max() < 1e-12 * max(1.0, float(np.abs(t).max())):
                 break
@@ -204,7 +204,8 @@ class _Equation:
     ) -> tuple[Array, Array]:
         """(N, 3) of t in the sensor's frame and (N, 3) of c in the world, each of expectation zero.
 
-        With h_i = R_i^T g_i and M = m I + kappa u u^T: M h_i - sigma_r^2 M t, and -R_i (M h_i - sigma_r^2 (kappa - m) t).
+        With h_i = R_i^T g_i and M = m I + kappa u u^T these are M h_i - sigma_r^2 M t and
+        -R_i (M h_i - sigma_r^2 (kappa - m) t).
         """
         m, kappa = weights or _weights(t, noise, weighted)
         h = np.einsum("nji,nj->ni", self._R, self._residual(t, c))

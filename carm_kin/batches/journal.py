@@ -24,7 +24,8 @@ class Line:
     input: str
     """Its path as it was given."""
     status: str
-    """ok, partial (a part of the offset is told), refused, bad_input, failed (a defect of ours, or no memory left) or killed (its worker died)."""
+    """ok, partial (a part of the offset is told), refused, bad_input, failed (a defect of ours, or no memory left) or
+    killed (its worker died)."""
     code: str
     """That of the refusal, or the name of the error; "" where the reason needs none."""
     reason: str

@@ -67,8 +67,9 @@ def export(
 ) -> CalibrationResult:
     """Write a calibration, or the one in a file, for another program, and give it back; ``to`` is one of `exports`.
 
-    The rest is what `Wanted` says. Raises RefusedError for a refused or partial calibration; InputError for an unknown name, for
-    something that this export has no use for, for what the result does not hold, and where the place cannot be written.
+    The rest is what `Wanted` says. Raises RefusedError for a refused or partial calibration; InputError for an unknown
+    name, for something that this export has no use for, for what the result does not hold, and where the place cannot
+    be written.
     """
     result, wanted = as_result(result), Wanted(transform, placement, parent_frame, child_frame, urdf)
     known = exports()

@@ -22,7 +22,7 @@ LEAST_TOLD = 2
 
 def refusal_of(part: Problem, estimate: Estimate, limits: Limits) -> Note | None:
     """Why an estimate of a fixed point from the used poses is refused, but for a cause of the misfit."""
-    told, sigma = estimate.told, estimate.sigma_t or 0.0
+    told = estimate.told
     share = 0.0 if estimate.used is None else 1 - estimate.used.mean()
     if len(part) < limits.min_poses:
         return Note("too_few_poses", f"{len(part)} usable poses; at least {limits.min_poses} are needed")
