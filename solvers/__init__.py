@@ -20,7 +20,7 @@ SOLVERS = Kind(
     __name__,
     "carm_kin.solvers",
     needs=("solve", "Options"),
-    parts=frozenset({"estimate", "nearest", "plugins", "problem", "se3", "still_point", "torus"}),
+    parts=frozenset({"estimate", "nearest", "pivot", "plugins", "problem", "se3", "still_point", "told", "torus"}),
 )
 
 

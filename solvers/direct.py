@@ -14,7 +14,7 @@ import numpy as np
 
 from solvers import decomposed, loci
 from solvers.estimate import Covariance, Estimate
-from solvers.loci import Locus, TwoAxisLocus
+from solvers.loci import Locus, SolvedLocus, TwoAxisLocus
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.start import robust
@@ -46,7 +46,7 @@ class Options:
     lever_m: float | None = None
     """Length that turns the angle between the axes into a distance; None: that of the starting offset."""
     reject_outliers: bool = True
-    """Leave out the poses that do not agree with one C-arm (circle only)."""
+    """Leave out the poses that do not agree with one C-arm, or of a point with one fixed point."""
     seed: int = 0
     """Seed of the samples from which the agreeing poses are found."""
     max_iterations: int = field(default=100, metadata={"min": 1, "max": 10_000})
@@ -59,6 +59,8 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
     Raises ValueError for an unknown locus, gauge or start.
     """
     chosen = _locus(options)
+    if isinstance(chosen, SolvedLocus):
+        return chosen.solve(problem, options.seed, options.reject_outliers)
     used = np.ones(len(problem), dtype=bool)
     if options.reject_outliers and isinstance(chosen, TwoAxisLocus):
         used = robust.inliers(problem, options.seed)

@@ -40,6 +40,27 @@ class Covariance:
 
 
 @dataclass(frozen=True, eq=False)
+class Told:
+    """What the motion tells of the offset t: its components along K orthonormal directions of the sensor's frame."""
+
+    directions: Array
+    """(K, 3) a row each."""
+    offset: Array
+    """(K,) d . t, m."""
+    sigma: Array
+    """(K,) of ``offset``, m."""
+    untold: Array
+    """(3 - K, 3) the directions along which nothing is told."""
+    untold_sigma: Array
+    """(3 - K,) by how much each of them may be off, rad."""
+
+    @property
+    def complete(self) -> bool:
+        """Whether the whole offset is told."""
+        return not len(self.untold)
+
+
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """A solver's answer, m and rad. What the solver or the locus cannot determine is None."""
 
@@ -70,6 +91,8 @@ class Estimate:
     """(3,) direction of the offset that the energy leaves undetermined (published gauge only)."""
     unobservable: tuple[str, ...] = ()
     """What the data or the energy leave undetermined, in words, where the solver knows it."""
+    told: Told | None = None
+    """What of the offset is told, where the solver asks; where that is not all of it, ``offset`` is None."""
     iterations: int = 0
     converged: bool = True
     notes: tuple[Note, ...] = field(default=())

@@ -37,23 +37,26 @@ PLAN = {
     "calibrated": "calibration ground machine recording results solvers.estimate solvers.kinematic solvers.likelihood "
     "solvers.nearest solvers.problem solvers.se3 solvers.still_point solvers.torus",
     "calibration": "ground machine recording results solvers solvers.chain solvers.estimate solvers.kinematic "
-    "solvers.likelihood solvers.plugins solvers.problem solvers.se3 solvers.torus solvers.verdict",
+    "solvers.likelihood solvers.pivot solvers.plugins solvers.problem solvers.se3 solvers.torus solvers.verdict",
     "simulation": "ground machine recording results solvers.estimate solvers.problem solvers.se3 solvers.torus",
     "results": "ground recording solvers.estimate solvers.likelihood solvers.se3 solvers.torus",
     "recording": "ground solvers.estimate solvers.plugins solvers.problem solvers.se3",
     "machine": "ground solvers.se3",
     "ground": "",
     "solvers": "solvers.plugins",
-    "solvers.verdict": "solvers.chain solvers.estimate solvers.kinematic solvers.likelihood solvers.problem "
-    "solvers.se3 solvers.start solvers.torus",
+    "solvers.verdict": "solvers.chain solvers.estimate solvers.kinematic solvers.likelihood solvers.pivot "
+    "solvers.problem solvers.se3 solvers.start solvers.told solvers.torus",
     "solvers.chain": "solvers.estimate solvers.kinematic solvers.problem solvers.se3 solvers.torus",
     "solvers.kinematic": "solvers.estimate solvers.likelihood solvers.problem solvers.se3 solvers.start solvers.torus",
     "solvers.closed_form": "solvers.estimate solvers.problem solvers.start",
     "solvers.direct": "solvers.decomposed solvers.estimate solvers.loci solvers.problem solvers.se3 solvers.start",
     "solvers.decomposed": "solvers.estimate solvers.problem solvers.se3 solvers.start solvers.torus",
     "solvers.surface": "solvers.estimate solvers.likelihood solvers.problem solvers.se3 solvers.torus",
-    "solvers.loci": "solvers.estimate solvers.plugins solvers.problem solvers.se3 solvers.start solvers.torus",
+    "solvers.loci": "solvers.estimate solvers.pivot solvers.plugins solvers.problem solvers.se3 solvers.start "
+    "solvers.told solvers.torus",
     "solvers.start": "solvers.problem solvers.se3 solvers.torus",
+    "solvers.pivot": "solvers.problem solvers.se3",
+    "solvers.told": "solvers.problem solvers.se3",
     "solvers.still_point": "solvers.likelihood solvers.problem solvers.se3",
     "solvers.nearest": "solvers.problem solvers.se3 solvers.torus",
     "solvers.likelihood": "solvers.estimate solvers.problem solvers.se3 solvers.torus",

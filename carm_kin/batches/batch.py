@@ -12,14 +12,14 @@ from typing import Any
 
 from carm_kin.batches.entries import Entry, entries
 from carm_kin.batches.job import Report, calibrate_file, key_of, versions
-from carm_kin.batches.journal import DOUBTFUL, FAILED, FINAL, KILLED, OK, REFUSED, Journal, Line
+from carm_kin.batches.journal import DOUBTFUL, FAILED, FINAL, KILLED, OK, PARTIAL, REFUSED, Journal, Line
 from carm_kin.batches.pool import Job, Outcome, WorkerKilledError, Workers, run
 from carm_kin.batches.summary import row_of, summary_files, write_summary
 from carm_kin.errors import InputError
 from carm_kin.files import write_atomically
 
 JOURNAL, SUMMARY = "state.jsonl", "summary"
-FOLDERS = {OK: "results", DOUBTFUL: "doubtful", REFUSED: "refused"}
+FOLDERS = {OK: "results", DOUBTFUL: "doubtful", PARTIAL: "partial", REFUSED: "refused"}
 """Where the result of each status goes, so that ``results`` has what can be used and nothing else."""
 
 
@@ -139,8 +139,9 @@ class Batch:
     def _prepare(self, done: dict[str, Line]) -> None:
         """The folders, without the results of what is to be done again."""
         try:
+            for status in (OK, REFUSED):
+                (self.folder / FOLDERS[status]).mkdir(parents=True, exist_ok=True)
             for name in FOLDERS.values():
-                (self.folder / name).mkdir(parents=True, exist_ok=True)
                 for entry in self.entries:
                     line = done.get(entry.label)
                     if line is None or FOLDERS.get(line.status) != name:
@@ -156,6 +157,7 @@ class Batch:
         reason = report.reason.replace(str(entry.path), entry.shown)
         line = Line(entry.label, entry.shown, report.status, report.code, reason, report.key, digest)
         if report.text is not None:
+            self.result_file(line).parent.mkdir(exist_ok=True)
             write_atomically(self.result_file(line), report.text)
         self.journal.append(line)
         return line

@@ -7,7 +7,7 @@ from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
-from carm_kin.batches.journal import BAD_INPUT, DOUBTFUL, OK, REFUSED
+from carm_kin.batches.journal import BAD_INPUT, DOUBTFUL, OK, PARTIAL, REFUSED
 from carm_kin.calibration.by_settings import calibrate_as
 from carm_kin.calibration.settings import Settings
 from carm_kin.errors import InputError
@@ -65,6 +65,8 @@ def calibrate_file(path: Path, settings: Settings, expected: Mapping[str, str]) 
     if result.status == DOUBTFUL:
         note = next(note for note in result.warnings if note.code == "parts_disagree")
         return Report(DOUBTFUL, note.code, note.message, key, result.to_json())
+    if result.status == PARTIAL:
+        return Report(PARTIAL, "", f"not told: {'; '.join(result.observability.unobservable)}", key, result.to_json())
     return Report(OK, "", "", key, result.to_json())
 
 

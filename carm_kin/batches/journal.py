@@ -10,8 +10,9 @@ from carm_kin.errors import InputError
 from carm_kin.files import write_atomically
 from carm_kin.typed import record
 
-OK, DOUBTFUL, REFUSED, BAD_INPUT, FAILED, KILLED = "ok", "doubtful", "refused", "bad_input", "failed", "killed"
-FINAL = (OK, DOUBTFUL, REFUSED, BAD_INPUT)
+OK, DOUBTFUL, PARTIAL, REFUSED = "ok", "doubtful", "partial", "refused"
+BAD_INPUT, FAILED, KILLED = "bad_input", "failed", "killed"
+FINAL = (OK, DOUBTFUL, PARTIAL, REFUSED, BAD_INPUT)
 """What would come out again, the input being the same."""
 MAX_BYTES = 1_000_000_000
 
@@ -24,7 +25,8 @@ class Line:
     input: str
     """Its path as it was given."""
     status: str
-    """ok, doubtful, refused, bad_input, failed (a defect of ours, or no memory left) or killed (its worker died)."""
+    """ok, doubtful, partial (a part of the offset is told), refused, bad_input, failed (a defect of ours, or no memory
+    left) or killed (its worker died)."""
     code: str
     """That of the refusal, or the name of the error; "" where the reason needs none."""
     reason: str

@@ -18,9 +18,11 @@ from carm_kin.results.parts import (
     Rejection,
     Residuals,
     Sigma,
+    ToldDirection,
+    ToldOffset,
 )
 from carm_kin.results.result import CalibrationResult
-from solvers.estimate import Covariance, Estimate, Note
+from solvers.estimate import Covariance, Estimate, Note, Told
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.verdict.assess import Assessment
@@ -40,8 +42,9 @@ def result_of(
     torus, values = estimate.torus, assessment.singular_values
     parts = assessment.left_out if assessment.left_out and assessment.left_out.disagree else None
     covariance = parts.widened(estimate.covariance) if parts and estimate.covariance else estimate.covariance
+    told = told_offset(estimate.told) if ok and estimate.told and not estimate.told.complete else None
     return CalibrationResult(
-        status="refused" if not ok else "doubtful" if parts else "ok",
+        status="refused" if not ok else "partial" if told else "doubtful" if parts else "ok",
         solver=estimate.solver,
         options=options,
         offset_sensor_pivot_m=estimate.offset if ok else None,
@@ -50,7 +53,7 @@ def result_of(
         minor_radius_m=estimate.minor_radius if ok else None,
         axis_non_orthogonality_rad=torus.non_orthogonality + 0.0 if ok and torus else None,
         orbital_axis_sensor=torus.orbital_axis if ok and torus else None,
-        placements=_placements(recording, estimate) if ok else (),
+        placements=_placements(recording, estimate) if ok and told is None else (),
         T_sensor_carm=torus.T_sensor_carm if ok and torus else None,
         orbital_referenced=torus.orbital_referenced if torus else False,
         sigma=sigma_of(covariance, len(estimate.center)) if ok else Sigma(),
@@ -70,11 +73,23 @@ def result_of(
             *assessment.notes,
             *((parts.note,) if parts else ()),
             *contradicted(recording.intakes, assessment.notes),
-            *_notes(estimate, ok),
+            *_notes(estimate, ok and told is None),
         ),
         refusal=assessment.refusal,
         provenance=provenance,
         angles_rad=assessment.angles,
+        told=told,
+    )
+
+
+def told_offset(told: Told) -> ToldOffset:
+    """What is told of an offset, as a result states it."""
+    rows = zip(told.directions, told.offset, told.sigma, strict=True)
+    return ToldOffset(
+        tuple(ToldDirection(d, float(x), float(s)) for d, x, s in rows),
+        tuple(told.untold),
+        tuple(float(s) for s in told.untold_sigma),
+        told.offset @ told.directions,
     )
 
 

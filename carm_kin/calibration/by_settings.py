@@ -40,7 +40,7 @@ def two_axes_arguments(recording: Recording, settings: Settings) -> dict[str, An
 def _two_axes(recording: Recording, settings: Settings, command: str | None) -> CalibrationResult:
     chosen = two_axes_arguments(recording, settings)
     result = calibrate(recording, settings.solver, command=command, **chosen)
-    if settings.cross_validate is None or result.refusal:
+    if settings.cross_validate is None or result.status != "ok":
         return result
     from carm_kin.calibration.cross_validate import cross_validate
 

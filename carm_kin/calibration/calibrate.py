@@ -149,8 +149,8 @@ def wrong_unit(p_world_sensor: Array, R_world_sensor: Array | None) -> Note | No
     mistake = "millimetres read as metres" if large else "metres read as millimetres"
     return Note(
         "misfit",
-        f"the positions span {extent * 1e3:.3g} mm, which no C-arm does. Likely cause: a wrong unit in the names of "
-        f"the position columns ({mistake})",
+        f"the positions span {extent * 1e3:.3g} mm, which no C-arm and no pointer does. Likely cause: a wrong unit in "
+        f"the names of the position columns ({mistake})",
     )
 
 

@@ -11,7 +11,9 @@ from typing import Any
 import numpy as np
 
 from carm_kin.calibration.calibrate import calibrate
+from carm_kin.calibration.cross_validate_point import placement_gone, point_errors, point_refusal
 from carm_kin.calibration.problem import to_problem
+from carm_kin.calibration.settings import POINT
 from carm_kin.errors import InputError, RefusedError
 from carm_kin.recording.formats import RecordingLike, as_recording
 from carm_kin.recording.recording import Recording
@@ -45,15 +47,19 @@ def cross_validate(
     ``counted`` (N,) are scored, by default those that the fit to the whole recording does not reject. A fold without
     which the rest does not determine the machine or a placement is refused by itself, and says why.
 
-    Raises InputError for a number of folds that the recording does not allow and a solver that gives no
-    complete chain, RefusedError where the whole recording is refused.
+    Raises InputError for a number of folds that the recording does not allow and a solver that gives neither a
+    complete chain nor a point, RefusedError where the whole recording is refused or told in part.
     """
     recording = as_recording(recording)
     number = fold_of_poses(recording, folds)
     whole = calibrate(recording, solver, angular=angular, orbital=orbital, **options)
     if whole.refusal:
         raise RefusedError(whole.refusal.code, whole.refusal.message)
-    torus_of(whole, recording.placements)
+    if whole.status == "partial":
+        raise RefusedError("partial", f"not told: {'; '.join(whole.observability.unobservable)}")
+    of_point = options.get("locus") == POINT
+    if not of_point:
+        torus_of(whole, recording.placements)
     sound = ~np.isin(recording.pose_number, whole.outliers.indices) if counted is None else counted
     problem = to_problem(recording, angular, orbital)
     rows: list[HeldOut] = []
@@ -63,9 +69,10 @@ def cross_validate(
         label, scored = f"fold {fold + 1}", held & sound
         sweeps = tuple(sweep.label for sweep in recording.sweeps if held[sweep.poses[0]])
         fit = calibrate(recording.select(~held), solver, angular=angular, orbital=orbital, **options)
-        refusal = _refusal(recording, problem, fit, ~held & sound) or nothing_left(scored)
+        unfit, predicted = (point_refusal, point_errors) if of_point else (_refusal, _predicted)
+        refusal = unfit(recording, problem, fit, ~held & sound) or nothing_left(scored)
         if refusal is None:
-            sums.append(_predicted(recording, problem, fit, scored))
+            sums.append(predicted(recording, problem, fit, scored))
         rows.append(row_of(label, sweeps, scored.sum(), None if refusal else sums[-1], refusal))
     return CrossValidation(folds, overall_of(rows, sums), tuple(rows))
 
@@ -134,12 +141,8 @@ def torus_of(result: CalibrationResult, placements: tuple[str, ...]) -> Torus:
 
 def _refusal(recording: Recording, problem: Problem, fit: CalibrationResult, rest: np.ndarray) -> Note | None:
     """Why the fit to the ``rest`` (N,) cannot predict the other poses."""
-    left = set(recording.placement_number[rest])
-    gone = [f"'{label}'" for k, label in enumerate(recording.placements) if k not in left]
-    if gone:
-        return Note("too_few_poses", f"no pose of placement {', '.join(gone)} is left to fit")
-    if fit.refusal:
-        return fit.refusal
+    if refusal := placement_gone(recording, rest) or fit.refusal:
+        return refusal
     torus = torus_of(fit, recording.placements)
     angles = torus.angles(problem)
     for k, label in enumerate(recording.placements):

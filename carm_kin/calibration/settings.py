@@ -21,6 +21,8 @@ CHAIN = "chain"
 """The solver of a URDF's whole chain."""
 CIRCLE = "circle"
 """The locus of a C-arm's pivot."""
+POINT = "point"
+"""The locus of a pointer's tip."""
 LOCUS_SOLVER = "direct"
 """The solver that takes any locus."""
 

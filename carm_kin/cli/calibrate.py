@@ -39,7 +39,10 @@ def calibrate(
     ] = None,
     as_json: AsJson = None,
 ) -> None:
-    """Calibrate a recording: offset, radii, axes, and how good they are."""
+    """Calibrate a recording: offset, radii, axes, and how good they are.
+
+    Status 3: refused, or the offset is told in part.
+    """
     from carm_kin.calibration.by_settings import calibrate_as
     from carm_kin.calibration.settings import CHAIN, Settings, only_with_chain
     from carm_kin.results import summary
@@ -68,6 +71,8 @@ def calibrate(
     warn(result.warnings)
     if result.refusal:
         raise RefusedError(result.refusal.code, result.refusal.message)
+    if result.status == "partial":
+        raise RefusedError("partial", f"not told: {'; '.join(result.observability.unobservable)}")
     if result.status == "doubtful":
         raise typer.Exit(ended(3, "doubtful", "the parts of the recording disagree (see the warning parts_disagree)"))
     within_m = result.offset_within_95_m

@@ -50,7 +50,8 @@ def main() -> None:
         with heard():
             status = app(prog_name="carm-kin", standalone_mode=False)
     except RefusedError as error:
-        status = ended(3, f"refused ({error.code})", str(error))
+        what = "partial" if error.code == "partial" else f"refused ({error.code})"
+        status = ended(3, what, str(error))
     except CarmKinError as error:
         status = ended(2, "error", str(error))
     except _UsageError as error:

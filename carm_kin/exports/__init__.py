@@ -67,8 +67,9 @@ def export(
 ) -> CalibrationResult:
     """Write a calibration, or the one in a file, for another program, and give it back; ``to`` is one of `exports`.
 
-    The rest is what `Wanted` says. Raises RefusedError for a refused calibration; InputError for an unknown name, for
-    something that this export has no use for, for what the result does not hold, and where the place cannot be written.
+    The rest is what `Wanted` says. Raises RefusedError for a refused or partial calibration; InputError for an unknown
+    name, for something that this export has no use for, for what the result does not hold, and where the place cannot
+    be written.
     """
     result, wanted = as_result(result), Wanted(transform, placement, parent_frame, child_frame, urdf)
     known = exports()
@@ -77,6 +78,9 @@ def export(
     if result.refusal:
         words = f"a refused calibration is not exported: {result.refusal.message}"
         raise RefusedError(result.refusal.code, words)
+    if result.status == "partial":
+        untold = "; ".join(result.observability.unobservable)
+        raise RefusedError("partial", f"a partial calibration is not exported, its own JSON has what is told: {untold}")
     default = Wanted()
     for name in (field.name for field in fields(Wanted)):
         if getattr(wanted, name) != getattr(default, name) and name not in known[to].takes:

@@ -64,6 +64,7 @@ def write_summary(
         version=__version__,
         count=len(known),
         refused=sum(result.refusal is not None for result in known.values()),
+        partial=sum(result.status == "partial" for result in known.values()),
         charts=_charts(drawn),
         drawn=len(drawn),
         head=HEAD,
@@ -81,7 +82,7 @@ def _line(name: str, result: CalibrationResult, link: str) -> _Line:
         deviation = result.sigma.major_radius_m
         radius = with_sigma(result.major_radius_m * 1e3, deviation and deviation * 1e3)[0]
     cells = (
-        "ok",
+        result.status,
         "–" if offset is None else ", ".join(f"{x * 1e3:.2f}" for x in offset),
         "–" if sigma is None else number(float(np.linalg.norm(sigma)) * 1e3),
         radius,
@@ -89,7 +90,7 @@ def _line(name: str, result: CalibrationResult, link: str) -> _Line:
         f"{result.used} of {result.poses}",
         ", ".join(dict.fromkeys(note.code for note in result.warnings)) or "–",
     )
-    return _Line(name, target, "ok", cells, "")
+    return _Line(name, target, result.status, cells, "")
 
 
 def _charts(results: Mapping[str, CalibrationResult]) -> tuple[Chart, ...]:

@@ -5,7 +5,9 @@ from math import degrees, floor, log10
 
 import numpy as np
 
+from carm_kin.results.parts import ToldOffset
 from carm_kin.results.result import CalibrationResult
+from carm_kin.results.summary import MOST_SIGMA, NOT_DETERMINED
 from solvers.se3 import Array
 
 
@@ -25,6 +27,8 @@ def verdict(result: CalibrationResult) -> str:
     """One sentence."""
     if result.refusal:
         return result.refusal.message
+    if result.told:
+        return f"Calibrated in part. Not told: {'; '.join(result.observability.unobservable)}."
     sigma = result.sigma.offset_sensor_pivot_m
     share = f"{result.used} of {result.poses} poses"
     if result.offset_sensor_pivot_m is None:
@@ -46,7 +50,28 @@ def rows_of(result: CalibrationResult) -> tuple[Row, ...]:
         _angle("Non-orthogonality of the axes", result.axis_non_orthogonality_rad, sigma.axis_non_orthogonality_rad),
         _direction("Orbital axis in the sensor", result.orbital_axis_sensor, sigma.orbital_axis_sensor),
     ]
-    return tuple(row for row in rows if row is not None)
+    return (*_told(result.told), *(row for row in rows if row is not None))
+
+
+def _told(told: ToldOffset | None) -> tuple[Row, ...]:
+    """What of an offset is told, and where the line lies that it leaves."""
+    if told is None:
+        return ()
+    rows = [
+        _row(f"Offset along {_of(d.direction_sensor)}", [d.offset_m * 1e3], [d.sigma_m * 1e3], "mm") for d in told.told
+    ]
+    for direction, sigma in zip(told.untold_directions_sensor, told.untold_sigma_rad, strict=True):
+        rows.append(Row(f"Offset along {_of(direction)}", ("not told",), (), ""))
+        if len(told.untold_directions_sensor) == 1:
+            lean = f"± {number(degrees(sigma))} deg"
+            rows.append(Row("Line of the pivot in the sensor: direction", (_of(direction),), (), "", lean))
+            nearest = _vector("Its point nearest the sensor", told.nearest_sensor_m + 0.0, None)
+            rows += [nearest] if nearest else []
+    return tuple(rows)
+
+
+def _of(direction: Array) -> str:
+    return f"({', '.join(f'{x:+.3f}' for x in np.round(direction, 3) + 0.0)})"
 
 
 def placement_rows(result: CalibrationResult) -> tuple[tuple[str, tuple[Row, ...]], ...]:
@@ -96,6 +121,8 @@ def with_sigma(value: float, sigma: float | None) -> tuple[str, str]:
 
 
 def _row(name: str, values: list[float], sigmas: list[float] | None, unit: str, remark: str = "") -> Row:
+    if sigmas is not None and not max(sigmas) <= MOST_SIGMA.get(unit, np.inf):
+        return Row(name, (NOT_DETERMINED,), (), "", remark)
     pairs = [with_sigma(v, None if sigmas is None else sigmas[k]) for k, v in enumerate(values)]
     known = tuple(s for _, s in pairs) if all(s for _, s in pairs) else ()
     return Row(name, tuple(v for v, _ in pairs), known, unit, remark)
@@ -106,7 +133,9 @@ def _length(name: str, value: float | None, sigma: float | None, remark: str = "
 
 
 def _angle(name: str, value: float | None, sigma: float | None) -> Row | None:
-    return None if value is None else _row(name, [degrees(value)], None if sigma is None else [degrees(sigma)], "deg")
+    fixed = "fixed" if sigma == 0.0 else ""
+    sigmas = None if sigma is None else [degrees(sigma)]
+    return None if value is None else _row(name, [degrees(value)], sigmas, "deg", fixed)
 
 
 def _vector(name: str, value: Array | None, sigma: Array | None) -> Row | None:

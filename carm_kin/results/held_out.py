@@ -50,7 +50,7 @@ class Errors(NamedTuple):
     position: float
     """Squared position errors, m^2."""
     rotation: float
-    """Squared orientation errors, rad^2."""
+    """Squared orientation errors, rad^2; NaN where none is predicted, as of a point."""
     chi2: float
     dof: float
 
@@ -75,7 +75,7 @@ def row_of(label: str, sweeps: tuple[str, ...], poses: int, errors: Errors | Non
         sweeps,
         int(poses),
         float(np.sqrt(errors.position / errors.poses)),
-        float(np.sqrt(errors.rotation / errors.poses)),
+        None if np.isnan(errors.rotation) else float(np.sqrt(errors.rotation / errors.poses)),
         errors.chi2 / errors.dof,
         errors.dof,
         None,

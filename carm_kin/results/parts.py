@@ -42,6 +42,36 @@ class Sigma:
     placements: tuple[PlacementSigma, ...] = ()
 
 
+@dataclass(frozen=True, eq=False)
+class ToldDirection:
+    """One component of the offset that the motion tells."""
+
+    direction_sensor: Array
+    """(3,) unit, in the sensor's frame."""
+    offset_m: float
+    """The offset along it."""
+    sigma_m: float
+    """Within 250 mm of the sensor along the untold direction, which may be off by its own sigma."""
+
+
+@dataclass(frozen=True, eq=False)
+class ToldOffset:
+    """What is told of an offset that the motion tells in part.
+
+    Where one direction is untold, the pivot lies on the line through `nearest_sensor_m` along it: that of a tool's
+    shaft about which the tool was spun.
+    """
+
+    told: tuple[ToldDirection, ...]
+    """Of orthogonal directions."""
+    untold_directions_sensor: tuple[Array, ...]
+    """(3,) each, unit, orthogonal to the told ones; no number along them is known."""
+    untold_sigma_rad: tuple[float, ...]
+    """By how much each of the untold directions may be off."""
+    nearest_sensor_m: Array
+    """(3,) the point of the line (or plane) of all possible pivots that is nearest the sensor's origin."""
+
+
 @dataclass(frozen=True)
 class NoiseLevel:
     """One standard deviation an axis."""

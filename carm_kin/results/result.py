@@ -21,6 +21,7 @@ from carm_kin.results.parts import (
     Provenance,
     Residuals,
     Sigma,
+    ToldOffset,
 )
 from carm_kin.results.result_json import (
     json_text,
@@ -52,7 +53,8 @@ class CalibrationResult:
     that says why; a refused result has none at all."""
 
     status: str
-    """``ok``; ``doubtful`` where the parts of the recording disagree by more than the noise explains; ``refused``."""
+    """``ok``; ``doubtful`` where the parts of the recording disagree by more than the noise explains; ``partial`` where the
+    motion tells a part of the offset only, which is in `told`; ``refused``."""
     solver: str
     options: Mapping[str, Any]
     offset_sensor_pivot_m: Array | None
@@ -91,6 +93,8 @@ class CalibrationResult:
     """None where it was not asked for."""
     chain: ChainCalibration | None = None
     """None but where a URDF's chain was calibrated."""
+    told: ToldOffset | None = None
+    """What is told of the offset where that is not all of it (status ``partial``); else None."""
 
     def __str__(self) -> str:
         """What `carm-kin calibrate` prints."""
@@ -206,9 +210,13 @@ def _contradiction(result: CalibrationResult, interval_m: tuple[float, ...] | No
     numbers = [result.offset_sensor_pivot_m, result.axis_non_orthogonality_rad, result.covariance, *unit, *rigid]
     numbers += lengths
     checks = {
-        "status must be 'ok' or 'doubtful' without a refusal, or 'refused' with one": result.status
-        not in (("refused",) if refused else ("ok", "doubtful")),
-        "a refused result must hold no numbers": refused and any(x is not None for x in numbers),
+        "status must be 'ok' or 'doubtful' without a refusal, 'partial' with a part that is told, or 'refused' with a "
+        "refusal": result.status
+        not in (("refused",) if refused else ("partial",) if result.told else ("ok", "doubtful")),
+        "a refused result must hold no numbers": refused and any(x is not None for x in [*numbers, result.told]),
+        "a partial result must hold no numbers but those that are told": result.told is not None
+        and any(x is not None for x in numbers),
+        "the directions that are told and untold are not orthogonal": not _orthogonal(result.told),
         "an axis is no unit vector": any(x is not None and abs(x @ x - 1) > TOLERANCE for x in unit),
         "a transform is no rigid motion": any(x is not None and not _is_rigid(x) for x in rigid),
         "a length is below 0": any(x is not None and x < 0 for x in lengths),
@@ -223,6 +231,14 @@ def _contradiction(result: CalibrationResult, interval_m: tuple[float, ...] | No
         and not np.allclose(result.covariance.matrix, result.covariance.matrix.T, rtol=TOLERANCE),
     }
     return next((words for words, wrong in checks.items() if wrong), None)
+
+
+def _orthogonal(told: ToldOffset | None) -> bool:
+    if told is None:
+        return True
+    d = np.array([*(one.direction_sensor for one in told.told), *told.untold_directions_sensor])
+    some = told.told and told.untold_directions_sensor and len(told.untold_sigma_rad) == len(d) - len(told.told)
+    return bool(some) and d.shape == (3, 3) and bool(np.abs(d @ d.T - np.eye(3)).max() < TOLERANCE)
 
 
 def _counted(result: CalibrationResult) -> bool:

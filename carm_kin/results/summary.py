@@ -8,6 +8,7 @@ import numpy as np
 from carm_kin.recording.intake import Intake
 from carm_kin.results.chain_result import ChainCalibration
 from carm_kin.results.held_out import HeldOut
+from carm_kin.results.parts import ToldOffset
 from solvers.estimate import Note
 from solvers.se3 import Array
 
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
     from carm_kin.results.virtual_centre_result import VirtualCentre
 
 _NAME_WIDTH = 34
+NOT_TOLD, NOT_DETERMINED, FIXED = "not told", "not determined", "deg (fixed)"
+MOST_SIGMA = {"mm": 20.0, "deg": 10.0}
+"""A number that is uncertain by more is not determined."""
 
 
 class Row(NamedTuple):
@@ -92,6 +96,8 @@ def printable(text: str) -> str:
 
 def in_mm(value: Array, sigma: Array | None) -> str:
     """A vector (3,), m, on one line: ``(x, y, z) ± (x, y, z) mm``."""
+    if sigma is not None and not (sigma * 1e3 <= MOST_SIGMA["mm"]).all():
+        return NOT_DETERMINED
     words = [f"({', '.join(f'{x * 1e3:.3f}' for x in vector)})" for vector in (value, sigma) if vector is not None]
     return f"{' ± '.join(words)} mm"
 
@@ -160,7 +166,8 @@ def centre_lines(found: "VirtualCentre") -> list[Line]:
 
 
 def _verdict(status: str) -> tuple[str, str]:
-    return f"{status}: ", {"ok": "bold green", "doubtful": "bold yellow"}.get(status, "bold red")
+    colours = {"ok": "bold green", "doubtful": "bold yellow", "partial": "bold yellow"}
+    return f"{status}: ", colours.get(status, "bold red")
 
 
 def _indented(rows: Sequence[Row]) -> list[Line]:
@@ -194,20 +201,26 @@ def _change(name: str, change: "Length | Angle") -> Row:
 def _held_out(row: HeldOut) -> str:
     if row.refusal or not row.dof or row.chi2_per_dof is None:
         return f"refused ({row.refusal.code}): {row.refusal.message}" if row.refusal else "no poses"
-    absorbed = 6 - row.dof / row.poses
-    errors = _both(row.translation_rms_m, row.rotation_rms_rad)
-    return f"{errors}, chi2/dof {row.chi2_per_dof:.2f}, angles absorb {absorbed:.1f} of 6"
+    errors = f"{_both(row.translation_rms_m, row.rotation_rms_rad)}, chi2/dof {row.chi2_per_dof:.2f}"
+    if row.rotation_rms_rad is None:
+        return errors
+    return f"{errors}, angles absorb {6 - row.dof / row.poses:.1f} of 6"
 
 
 def _numbers(result: "CalibrationResult") -> list[Row]:
     sigma = result.sigma
-    rows = _vector("offset sensor to rotation centre", result.offset_sensor_pivot_m, sigma.offset_sensor_pivot_m)
+    rows = _told(result.told) if result.told else []
+    rows += _vector("offset sensor to rotation centre", result.offset_sensor_pivot_m, sigma.offset_sensor_pivot_m)
     rows += _length("offset off by at most (95%)", result.offset_within_95_m, None)
     rows += _major_radius(result)
     rows += _length("minor radius", result.minor_radius_m, sigma.minor_radius_m)
     skew = result.axis_non_orthogonality_rad
     if skew is not None:
-        rows.append(_row("non-orthogonality", np.degrees(skew), _degrees(sigma.axis_non_orthogonality_rad), "deg"))
+        skew_sigma = _degrees(sigma.axis_non_orthogonality_rad)
+        fixed = skew_sigma == 0.0
+        rows.append(
+            _row("non-orthogonality", np.degrees(skew), None if fixed else skew_sigma, FIXED if fixed else "deg")
+        )
     rows += _direction("orbital axis in the sensor", result.orbital_axis_sensor, sigma.orbital_axis_sensor)
     for k, placement in enumerate(result.placements):
         one = sigma.placements[k] if sigma.placements else None
@@ -216,6 +229,25 @@ def _numbers(result: "CalibrationResult") -> list[Row]:
         rows += _vector("centre in the world", placement.torus_center_world_m, one and one.torus_center_world_m)
         rows += _direction("angular axis in the world", placement.angular_axis_world, one and one.angular_axis_world)
     return rows
+
+
+def _told(told: ToldOffset) -> list[Row]:
+    """The told components, the line on which the pivot lies, and what is not told."""
+    rows = [
+        _row(f"offset along {_triple(one.direction_sensor)}", one.offset_m * 1e3, one.sigma_m * 1e3, "mm")
+        for one in told.told
+    ]
+    for direction, sigma in zip(told.untold_directions_sensor, told.untold_sigma_rad, strict=True):
+        rows.append(Row(f"offset along {_triple(direction)}", f"{NOT_TOLD:>10}"))
+        if len(told.untold_directions_sensor) == 1:
+            rows.append(Row("the rotation centre lies on a line in the sensor's frame, a spun tool's shaft:"))
+            rows.append(Row("its point nearest the sensor", in_mm(told.nearest_sensor_m + 0.0, None)))
+            rows.append(Row("its direction", _triple(direction), f"{np.degrees(sigma):.4f}", "deg"))
+    return rows
+
+
+def _triple(direction: Array) -> str:
+    return f"({', '.join(f'{x:+.3f}' for x in np.round(direction, 3) + 0.0)})"
 
 
 def _major_radius(result: "CalibrationResult") -> list[Row]:
@@ -259,6 +291,8 @@ def _both(length: float | None, angle: float | None) -> str:
 
 
 def _row(name: str, value: float, sigma: float | None, unit: str) -> Row:
+    if sigma is not None and not sigma <= MOST_SIGMA.get(unit[:3].strip(" ,"), np.inf):
+        return Row(name, NOT_DETERMINED)
     return Row(name, f"{value:>10.3f}", "" if sigma is None else f"{sigma:.3f}", unit)
 
 
@@ -281,6 +315,8 @@ def _direction(name: str, value: Array | None, sigma: Array | None) -> list[Row]
     if value is None:
         return []
     text = f"({value[0]:+.5f}, {value[1]:+.5f}, {value[2]:+.5f})"
+    if sigma is not None and np.degrees(np.linalg.norm(sigma)) > MOST_SIGMA["deg"]:
+        return [Row(name, NOT_DETERMINED)]
     return [Row(name, text) if sigma is None else Row(name, text, f"{np.degrees(np.linalg.norm(sigma)):.4f}", "deg")]
 
 

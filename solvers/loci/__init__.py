@@ -55,6 +55,15 @@ class Locus(Protocol):
 
 
 @runtime_checkable
+class SolvedLocus(Locus, Protocol):
+    """A locus that has a better solver of its own."""
+
+    def solve(self, problem: Problem, seed: int, reject_outliers: bool) -> Estimate:
+        """The estimate, outliers left out where they are to be rejected."""
+        ...
+
+
+@runtime_checkable
 class TwoAxisLocus(Locus, Protocol):
     """A locus that belongs to a C-arm: it can start from its axes."""
 

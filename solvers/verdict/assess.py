@@ -17,6 +17,7 @@ from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.start.axes import ambiguous
 from solvers.torus import Torus
+from solvers.verdict import pivot as of_point
 from solvers.verdict.bump import bump_of
 from solvers.verdict.diagnose import LABELS, base_moved_at, causes_of
 from solvers.verdict.held_out import LeftOut, left_out
@@ -25,6 +26,9 @@ from solvers.verdict.observability import AMBIGUOUS, in_words, joints_at_rest, t
 from solvers.verdict.residuals import neighbour_correlation, residual_notes
 
 __all__ = ["Assessment", "Limits", "assess"]
+
+KEPT = ("misfit", "one_axis_only")
+"""Refusals to which a likely cause is added."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +59,8 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
     """Judge an estimate of ``problem`` by the poses that it used; the rows of the others are NaN."""
     used = np.ones(len(problem), dtype=bool) if estimate.used is None else estimate.used
     part = problem if used.all() else problem.select(used)
+    if estimate.told is not None:
+        return _assess_point(problem, part, estimate, used, limits)
     if estimate.torus is None or len(part) < limits.min_poses:
         found = _assess_positions(part, estimate, used, limits)
         return replace(found, refusal=_hardly_any(problem, part, limits) or found.refusal)
@@ -93,6 +99,8 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         or _undetermined(covariance, unobservable, limits)
     )
     open_question = refusal is None or (refusal.code == "misfit" and moved_at is None)
+    if refusal and not causes and moved_at is None and (fixed := of_point.still_point_note(problem)):
+        causes = (fixed,)
     bump = bump_of(problem, estimate, angles, sigma, line) if open_question and not causes else None
     moved, moved_at = ((bump.note,), None) if bump else ((), moved_at)
     causes = moved if bump and bump.harmful else causes
@@ -124,8 +132,9 @@ def _with_causes(refusal: Note | None, causes: tuple[Note, ...], used: np.ndarra
     if not causes or (refusal is None and left_out):
         return refusal
     likely = "; or ".join(note.message for note in causes)
-    words = refusal.message if refusal and refusal.code == "misfit" else "the poses do not fit one C-arm as they stand"
-    return Note("misfit", f"{words}. Likely cause: {likely}")
+    if refusal and refusal.code in KEPT:
+        return Note(refusal.code, f"{refusal.message}. Likely cause: {likely}")
+    return Note("misfit", f"the poses do not fit one C-arm as they stand. Likely cause: {likely}")
 
 
 def _too_long(torus: Torus, limits: Limits) -> Note | None:
@@ -167,6 +176,34 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
         singular_values=np.zeros(0),
         unobservable=estimate.unobservable,
         notes=(),
+        refusal=refusal,
+    )
+
+
+def _assess_point(problem: Problem, part: Problem, estimate: Estimate, used: np.ndarray, limits: Limits) -> Assessment:
+    """The verdict on a fixed point."""
+    residual = estimate.residual if estimate.residual is not None else np.full((len(part), 3), np.nan)
+    refusal = of_point.refusal_of(part, estimate, limits)
+    untold = refusal is not None and refusal.code == "nothing_turned"
+    asked = not untold and of_point.asks_for_cause(part, estimate, limits)
+    causes = of_point.causes_of_misfit(problem, limits) if asked else ()
+    if causes:
+        likely = "; or ".join(note.message for note in causes)
+        refusal = Note("misfit", f"no fixed point explains these poses as they stand. Likely cause: {likely}")
+    return Assessment(
+        angles=None,
+        position_residual=_spread(residual, used),
+        rotation_residual=None,
+        sigma_t=estimate.sigma_t or 0.0,
+        sigma_r=estimate.sigma_r,
+        chi2_per_dof=of_point.chi2_per_dof(part, estimate),
+        singular_values=np.zeros(0),
+        unobservable=estimate.unobservable,
+        notes=(
+            *_rejections(used, None, limits),
+            *causes,
+            *(() if refusal else of_point.residual_notes(part, estimate)),
+        ),
         refusal=refusal,
     )
 

@@ -6,6 +6,9 @@ import numpy as np
 
 from solvers.estimate import Covariance, Note
 
+MEANINGLESS_M = 1.0
+"""A standard deviation above this is no number."""
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -42,10 +45,8 @@ class Limits:
 def uncertain(covariance: Covariance, limits: Limits) -> Note | None:
     worst = float(np.sqrt(np.linalg.eigvalsh(covariance.block("offset"))[-1]))
     if worst > limits.max_offset_sigma_m:
-        return Note(
-            "too_uncertain",
-            f"the arcs are too short for the noise: the offset is uncertain by {worst * 1e3:.0f} mm (one sigma)",
-        )
+        how = f"is uncertain by {worst * 1e3:.0f} mm (one sigma)" if worst < MEANINGLESS_M else "is not determined"
+        return Note("too_uncertain", f"the arcs are too short for the noise: the offset {how}")
     return None
 
 
