@@ -53,8 +53,8 @@ class CalibrationResult:
     that says why; a refused result has none at all."""
 
     status: str
-    """``ok``; ``doubtful`` where the parts of the recording disagree by more than the noise explains; ``partial`` where the
-    motion tells a part of the offset only, which is in `told`; ``refused``."""
+    """``ok``; ``doubtful`` where the parts of the recording disagree by more than the noise explains; ``partial`` where
+    the motion tells a part of the offset only, which is in `told`; ``refused``."""
     solver: str
     options: Mapping[str, Any]
     offset_sensor_pivot_m: Array | None

@@ -6,7 +6,8 @@ the part moves by
 
     delta_b = (H - H_b)^-1 g_b,    Cov delta_b = (H - H_b)^-1 - H^-1
 
-where the noise is what the fit takes it for. Noise that is correlated from sweep to sweep, a C that sags and a machine
+where the noise is what the fit takes it for and the gradients sum to g = 0; where they do not, since another solver
+made the estimate, it is the moves of one Gauss-Newton step that are compared, ``C g - (H - H_b)^-1 (g - g_b)``. Noise that is correlated from sweep to sweep, a C that sags and a machine
 that slips move it further; then the jackknife, C_J = (B - 1) / B sum delta_b delta_b', shows how far the estimate may
 be off.
 """
@@ -125,7 +126,7 @@ def _moves(
     J, names = reported_jacobian(torus)
     offset = [names.index(f"offset_sensor_pivot_{axis}") for axis in "xyz"]
     every = [_equations(torus, angles, problem, sigma, poses) for poses in parts]
-    H = np.sum([information for information, _ in every], axis=0)
+    H, total = (np.sum(terms, axis=0) for terms in zip(*every, strict=True))
     C = marginal_covariance(H, active)
     whole = _block(J @ C @ J.T, offset)
     inflation = float(np.trace(np.linalg.solve(whole, stated.block("offset")))) / 3
@@ -135,10 +136,10 @@ def _moves(
         values, vectors = np.linalg.eigh(_block(J @ (without - C) @ J.T, offset))
         if values[-1] < MOST_GAIN * np.linalg.eigvalsh(whole)[-1]:
             told = values > 1e-9 * values[-1]
-            rows = vectors[:, told].T @ J[offset] @ without / np.sqrt(values[told] * inflation)[:, None]
-            moves.append(J @ without @ gradient)
-            whitened.append(rows @ gradient)
-            information.append((rows, H_part))
+            whiten = vectors[:, told].T / np.sqrt(values[told] * inflation)[:, None]
+            moves.append(J @ (C @ total - without @ (total - gradient)))
+            whitened.append(whiten @ moves[-1][offset])
+            information.append((whiten @ J[offset] @ without, H_part))
     ratio = float(np.mean(np.concatenate(whitened) ** 2)) if whitened else 1.0
     return LeftOut(names, np.array(moves), ratio, f_tail(_freedom(information, C) if moves else 1.0, 1e6, ratio))
 
