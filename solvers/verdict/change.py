@@ -63,7 +63,7 @@ class Change:
         if min(seen, left) <= 0:
             return 1.0
         F = self.statistic / seen / max(self.variance, EXACT)
-        return min(1.0, self.poses * f_tail(seen, max(left / self.correlation, 1.0), F))
+        return min(1.0, self.poses / self.correlation * f_tail(seen, max(left / self.correlation, 1.0), F))
 
     def over(self, correlation: float) -> "Change":
         """The same where the noise lasts for so many poses."""
