@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from solvers.likelihood.correlation import Stretches, correlation_of
+from solvers.likelihood.correlation import Stretches, correlation_of, correlation_time
 from solvers.likelihood.linearise import LOCAL, AngleModel, Linearisation
 from solvers.likelihood.reduced import RESIDUAL, blocks_of, inverse_blocks, weighted
 from solvers.problem import Problem
@@ -125,8 +125,8 @@ def most_likely(rows: Array, problem: Problem, by: Array | None = None, of: slic
 
 
 def correlation_beside(rows: Array, problem: Problem, change: Change, of: slice = BASE) -> float:
-    """For how many poses what the ``change``, in time, and all columns of ``rows`` leave lasts: the longer of both kinds
-    of noise."""
+    """For how many poses what the ``change``, in time, and all columns of ``rows`` leave lasts: the longest of both kinds
+    of noise and of what lies along the change."""
     later = np.flatnonzero(problem.placement == problem.placement[change.pose])
     later = later[later >= change.pose]
     rows = rows.copy()
@@ -134,7 +134,9 @@ def correlation_beside(rows: Array, problem: Problem, change: Change, of: slice 
     normal = _Normal.of(rows, problem)
     step = -(normal.C @ normal.g)[normal.columns]
     left = rows[:, -1] + np.einsum("rin,ni->rn", rows[:, :-1], step[problem.placement])
-    return correlation_of(left, Stretches.of(problem), float(normal.rank + change.dof[0])).longest
+    along = (np.einsum("rin,i->rn", rows[:, of], change.displacement) * left).sum(axis=0)
+    stretches, unknowns = Stretches.of(problem), float(normal.rank + change.dof[0])
+    return max(correlation_of(left, stretches, unknowns).longest, correlation_time(along[:, None], stretches))
 
 
 def _drift(normal: "_Normal", p: int, products: Array, of: slice) -> float:

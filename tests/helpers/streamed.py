@@ -46,7 +46,10 @@ def stream(
     at = int(rng.uniform(0.25, 0.75) * len(p))
     p[at:] += bump_mm * 1e-3 * direction / np.linalg.norm(direction)
     p = p + SIGMA_T * _lasting(rng, len(p), ar)
-    R = R @ Rotation.from_rotvec(SIGMA_R * _lasting(rng, len(p), ar if ar_rotation is None else ar_rotation)).as_matrix()
+    R = (
+        R
+        @ Rotation.from_rotvec(SIGMA_R * _lasting(rng, len(p), ar if ar_rotation is None else ar_rotation)).as_matrix()
+    )
     nothing = np.full((len(p), 2), np.nan)
     every = Problem(p, R, np.zeros(len(p), dtype=int), held, nothing, time_s=time_s)
     return every.select(slice(None, None, KEPT))
