@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from solvers.estimate import Correlation, Estimate, Note
-from solvers.likelihood.covariance import active_unknowns, covariance_of, marginal_covariance
 from solvers.likelihood.correlation import Stretches, correlation_time
+from solvers.likelihood.covariance import active_unknowns, covariance_of, marginal_covariance
 from solvers.likelihood.elimination import Reduced, normal_equations
 from solvers.likelihood.linearise import AngleModel, linearise, retract
 from solvers.problem import Problem

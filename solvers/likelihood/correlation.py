@@ -73,8 +73,8 @@ def correlation_of(residual: Array, stretches: Stretches, unknowns: float = 0.0)
 def correlation_time(values: Array, stretches: Stretches, unknowns: float = 0.0) -> float:
     """T of noise (N, d) of mean zero in poses, 1 where nothing tells it from white noise.
 
-    The sum of the correlations ends at the first octave of lags that adds nothing significant. Each of the ``unknowns`` of the fit that
-    left ``values`` takes as much of the slow noise as a share T of a value of white noise; that is added again.
+    The sum of the correlations ends at the first octave of lags that adds nothing significant. Each of the
+    ``unknowns`` of the fit that left ``values`` takes as much of the slow noise as a share T of a value of white noise; that is added again.
     """
     values, number = _picked(values, stretches)
     S = values.T @ values
@@ -100,8 +100,8 @@ def scores_time(scores: Array, stretches: Stretches) -> float:
 
 
 def with_correlation(C: Array, information: tuple[Array, ...], times: tuple[float, ...]) -> Array:
-    """The covariance C (D, D) = inv(H) of white noise with noise of these correlation ``times`` instead: C (sum T_k H_k)
-    C, where the ``information`` H_k (D, D) of the kinds, with that of kinds that are white, adds up to H."""
+    """The covariance C (D, D) = inv(H) of white noise with noise of these correlation ``times`` instead: C (sum
+    T_k H_k) C, where the ``information`` H_k (D, D) of the kinds, with that of kinds that are white, adds up to H."""
     found = C
     for H, T in zip(information, times, strict=True):
         if T > 1:
@@ -124,7 +124,7 @@ def _summed(values: Array, number: np.ndarray, variance: float, dimension: float
     total = before = 0.0
     significant, lag, octave = False, 0, 1
     while significant or lag < FIRST_OCTAVES:
-        for lag in range(lag + 1, octave + 1):
+        for lag in range(octave // 2 + 1, octave + 1):
             same = number[lag:] == number[:-lag]
             pairs = int(same.sum())
             if pairs * dimension < FEWEST * lag:

@@ -10,8 +10,8 @@ import numpy as np
 
 from solvers import kinematic
 from solvers.estimate import Correlation, Covariance, Estimate, Note
-from solvers.likelihood.covariance import active_unknowns, covariance_of, scaled_spectrum
 from solvers.likelihood.correlation import Stretches, correlation_of
+from solvers.likelihood.covariance import active_unknowns, covariance_of, scaled_spectrum
 from solvers.likelihood.elimination import normal_equations
 from solvers.likelihood.linearise import AngleModel, linearise
 from solvers.problem import Problem

@@ -125,8 +125,8 @@ def most_likely(rows: Array, problem: Problem, by: Array | None = None, of: slic
 
 
 def correlation_beside(rows: Array, problem: Problem, change: Change, of: slice = BASE) -> float:
-    """For how many poses what the ``change``, in time, and all columns of ``rows`` leave lasts: the longest of both kinds
-    of noise and of what lies along the change."""
+    """For how many poses what the ``change``, in time, and all columns of ``rows`` leave lasts: the longest of both
+    kinds of noise and of what lies along the change."""
     later = np.flatnonzero(problem.placement == problem.placement[change.pose])
     later = later[later >= change.pose]
     rows = rows.copy()
