@@ -74,7 +74,8 @@ def correlation_time(values: Array, stretches: Stretches, unknowns: float = 0.0)
     """T of noise (N, d) of mean zero in poses, 1 where nothing tells it from white noise.
 
     The sum of the correlations ends at the first octave of lags that adds nothing significant. Each of the
-    ``unknowns`` of the fit that left ``values`` takes as much of the slow noise as a share T of a value of white noise; that is added again.
+    ``unknowns`` of the fit that left ``values`` takes as much of the slow noise as a share T of a value of white
+    noise; that is added again.
     """
     values, number = _picked(values, stretches)
     S = values.T @ values
