@@ -13,7 +13,8 @@ import casadi as ca
 import numpy as np
 
 from solvers import decomposed, loci
-from solvers.estimate import Covariance, Estimate
+from solvers.estimate import Correlation, Covariance, Estimate
+from solvers.likelihood.correlation import Stretches, scores_time
 from solvers.loci import Locus, SolvedLocus, TwoAxisLocus
 from solvers.problem import Problem
 from solvers.se3 import Array
@@ -99,21 +100,24 @@ def _estimate(
     """The answer with the residuals of the locus and a covariance that trusts the residuals alone.
 
     inv(H) (sum g_i g_iT) inv(H) with g_i the gradient of one pose holds whatever mixture of position and
-    rotation noise made the residuals; it is scaled by N / (N - unknowns / residuals of a pose).
+    rotation noise made the residuals; it is scaled by N / (N - unknowns / residuals of a pose) and by the
+    correlation time of the g_i.
     """
-    H, scatter, residual = energy.scatter(theta)
+    H, scores, residual = energy.scores(theta)
+    time = scores_time(scores, Stretches.of(problem))
     spread = np.sqrt(np.maximum(H.diagonal(), np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(H / np.outer(spread, spread))
     inverse = ((vectors / np.maximum(values, 1e-15)) @ vectors.T) / np.outer(spread, spread)
     free = max(len(problem) - len(H) / residual.shape[1], 1.0)
     names, J = chosen.reported(theta)
-    covariance = Covariance(names, J @ inverse @ scatter @ inverse @ J.T * (len(problem) / free))
+    covariance = Covariance(names, J @ inverse @ (scores.T @ scores) @ inverse @ J.T * (time * len(problem) / free))
     return chosen.estimate(
         theta,
         problem,
         null_direction_sensor=vectors[:, 0] / spread,
         residual=residual,
         covariance=covariance,
+        correlation=Correlation(time, time),
         sigma_t=float(np.sqrt((residual**2).sum() / max(residual.size - len(H), 1))),
         iterations=iteration,
         converged=converged,
@@ -179,10 +183,10 @@ class _Energy:
             energy += float(M[-1, -1])
         return _NormalEquations(H, g, energy)
 
-    def scatter(self, theta: Array) -> tuple[Array, Array, Array]:
-        """H (k, k), the sum of g_i g_iT (k, k) over the poses, and the residuals (N, rows), m."""
+    def scores(self, theta: Array) -> tuple[Array, Array, Array]:
+        """H (k, k), the gradients g_i (N, k) of the poses, and the residuals (N, rows), m."""
         bases, columns, size = _layout(self._chosen, theta)
-        H, scatter = np.zeros((size, size)), np.zeros((size, size))
+        H, scores = np.zeros((size, size)), np.zeros((len(self._problem), size))
         residual = np.zeros((len(self._problem), self._rows.shape[2]))
         for k, chunks in enumerate(self._chunks):
             here = np.flatnonzero(self._problem.placement == k)
@@ -191,11 +195,10 @@ class _Energy:
                 poses = here[start : start + CHUNK]
                 Je = self._linearised(theta[k], chunk)[: len(poses)]
                 J = bases[k].T @ Je[:, :-1]
-                gradient = (J @ Je[:, -1, :, None])[..., 0]
-                scatter[index] += gradient.T @ gradient
+                scores[poses[:, None], columns[k]] = (J @ Je[:, -1, :, None])[..., 0]
                 H[index] += (J @ J.swapaxes(1, 2)).sum(axis=0)
                 residual[poses] = Je[:, -1]
-        return H, scatter, residual
+        return H, scores, residual
 
     def _linearised(self, theta: Array, chunk: Array) -> Array:
         """[J | e] transposed, (CHUNK, size + 1, rows); valid until the next call."""

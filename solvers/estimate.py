@@ -39,6 +39,19 @@ class Covariance:
         return self.select([i for i, name in enumerate(self.names) if name.startswith(prefix)]).matrix
 
 
+@dataclass(frozen=True)
+class Correlation:
+    """For how many poses the noise lasts, 1 where it is white (`solvers.likelihood.correlation`)."""
+
+    position: float = 1.0
+    rotation: float = 1.0
+
+    @property
+    def longest(self) -> float:
+        """Of both kinds; so many poses count as one."""
+        return max(self.position, self.rotation)
+
+
 @dataclass(frozen=True, eq=False)
 class Told:
     """What the motion tells of the offset t: its components along K orthonormal directions of the sensor's frame."""
@@ -87,6 +100,8 @@ class Estimate:
     residual: Array | None = None
     """(N, K) what the solver's own model leaves of each pose, m, where there is no complete chain."""
     covariance: Covariance | None = None
+    correlation: Correlation | None = None
+    """How long the noise lasts; the covariance heeds it."""
     null_direction_sensor: Array | None = None
     """(3,) direction of the offset that the energy leaves undetermined (published gauge only)."""
     unobservable: tuple[str, ...] = ()

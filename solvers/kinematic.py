@@ -10,7 +10,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from solvers.estimate import Estimate, Note
+from solvers.estimate import Correlation, Estimate, Note
+from solvers.likelihood.correlation import Stretches, correlation_of, with_correlation
 from solvers.likelihood.covariance import active_unknowns, covariance_of, marginal_covariance
 from solvers.likelihood.elimination import Reduced, normal_equations
 from solvers.likelihood.linearise import AngleModel, linearise, retract
@@ -142,6 +143,7 @@ def refine(
             at, used = there, believed
             damping = damping * 0.1 if damping > 1e-8 else 0.0
         torus, angles, sigma = trial, trial_angles, new_sigma
+    correlation = correlation_of(at.left, Stretches.of(problem, used), float(active.sum()))
     return Estimate.of_torus(
         "kinematic",
         torus,
@@ -149,9 +151,20 @@ def refine(
         sigma_t=sigma[0],
         sigma_r=sigma[1],
         used=used,
-        covariance=covariance_of(torus, marginal_covariance(at.H, active)),
+        covariance=covariance_of(torus, correlated_covariance(at, active, correlation)),
+        correlation=correlation,
         iterations=iteration,
         converged=converged,
+    )
+
+
+def correlated_covariance(at: Reduced, active: np.ndarray, correlation: Correlation) -> Array:
+    """(D, D) of the unknowns, with noise that lasts; readings are taken as independent."""
+    rotation_information = at.H - at.position_information - at.reading_information
+    return with_correlation(
+        marginal_covariance(at.H, active),
+        (at.position_information, rotation_information),
+        (correlation.position, correlation.rotation),
     )
 
 

@@ -4,10 +4,11 @@ Least squares draws t towards zero where the orientations are noisy. The equatio
 true t: docs/estimation.md, "A fixed point", derives them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from solvers.likelihood.correlation import Stretches, scores_time
 from solvers.problem import Problem
 from solvers.se3 import Array
 
@@ -35,6 +36,8 @@ LEAST_LEVER = 10.0
 """In standard deviations of the equation: along a shorter lever the two noises are not told apart."""
 LEAST_RATIO = 1e-4
 """Of the squared noise along the lever and across it."""
+MOST_APART = 16.27
+"""Squared distance, in standard deviations, of two answers from one recording: 99.9% of chi-square with 3."""
 EXACT_M = 1e-9
 """Residuals below this are rounding."""
 
@@ -64,6 +67,17 @@ class Pivot:
     residual: Array
     """(N, 3) R_i t + p_i - c, in the world."""
     noise: Noise
+    lasts: float
+    """For how many poses the noise lasts, 1 where it is white; the covariance heeds it."""
+
+    def widened_to(self, other: "Pivot") -> "Pivot":
+        """With how far an ``other`` answer, to which the poses have other weights, is off, where noise of the kind
+        assumed would not set them so far apart (Hausman): which of them is right is not known."""
+        apart = np.concatenate([other.t - self.t, (other.c - self.c).ravel()])
+        V = other.covariance[:3, :3]
+        if apart[:3] @ np.linalg.pinv(V) @ apart[:3] <= MOST_APART:
+            return self
+        return replace(self, covariance=self.covariance + np.outer(apart, apart))
 
 
 def agreeing(problem: Problem, seed: int = 0) -> np.ndarray:
@@ -121,7 +135,11 @@ def fit(problem: Problem, directions: Array, turn: float, turn_variance: float) 
             and abs(noise.turn - before.turn) <= 1e-6 * noise.turn
         ):
             break
-    return equation.answer(t, c, noise, weighted)
+    found = equation.answer(t, c, noise, weighted)
+    if not weighted:
+        return found
+    unweighted = equation.answer(*equation.solved(t, c, noise, weighted=False), noise, weighted=False)
+    return found.widened_to(unweighted)
 
 
 def whitened_square(problem: Problem, t: Array, c: Array, along: float, turn: float) -> float:
@@ -165,9 +183,10 @@ class _Equation:
         by_turn = self._sum(t, c, doubt, weighted, (m, kappa)) - self._sum(t, c, noise, weighted, (m, kappa))
         inverse = np.linalg.inv(slope)
         drawn = inverse @ (by_turn / 1e-6)
-        covariance = inverse @ (terms.T @ terms) @ inverse.T * (n / free)
+        lasts = scores_time(terms, Stretches.of(self._problem)) if terms.any() else 1.0
+        covariance = inverse @ (terms.T @ terms) @ inverse.T * (n / free) * lasts
         covariance += noise.turn_variance * np.outer(drawn, drawn)
-        return Pivot(t, c, (covariance + covariance.T) / 2, self._residual(t, c), noise)
+        return Pivot(t, c, (covariance + covariance.T) / 2, self._residual(t, c), noise, lasts)
 
     def noise(self, t: Array, c: Array) -> tuple[Noise, bool]:
         """The noise that the residuals show, the given one where there is one; and whether it may weigh."""

@@ -36,6 +36,8 @@ class Problem:
     scale: Array | None = None
     """(2, N) noise of each position and orientation over `sigma_t` and `sigma_r`, which are then root mean squares;
     None: 1. `kinematic` heeds it."""
+    time_s: Array | None = None
+    """(N,) when each pose was taken, s; None: the poses stand in the order of time."""
 
     @staticmethod
     def of_poses(p_world_sensor: Array, R_world_sensor: Array | None) -> "Problem":
@@ -92,6 +94,7 @@ class Problem:
             held=self.held[poses],
             label=self.label[poses],
             scale=None if self.scale is None else self.scale[:, poses],
+            time_s=None if self.time_s is None else self.time_s[poses],
         )
 
     def apart(self, poses: np.ndarray) -> "Problem":

@@ -15,7 +15,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from solvers.estimate import Estimate, Note
+from solvers.estimate import Correlation, Estimate, Note
+from solvers.likelihood.correlation import Stretches, correlation_time
 from solvers.likelihood.covariance import active_unknowns, covariance_of, marginal_covariance
 from solvers.likelihood.elimination import Reduced, normal_equations
 from solvers.likelihood.linearise import AngleModel, linearise, retract
@@ -176,7 +177,8 @@ def _estimate(problem: Problem, fit: _Fit) -> Estimate:
     torus, at = fit.torus, fit.at
     redundancy = max(len(problem) - int(fit.active.sum()), 1)
     sigma = max(float(np.sqrt(at.cost / redundancy)), SIGMA_FLOOR_M)
-    covariance = covariance_of(torus, marginal_covariance(at.H / sigma**2, fit.active))
+    time = correlation_time(at.left.T / sigma, Stretches.of(problem), float(fit.active.sum()))
+    covariance = covariance_of(torus, marginal_covariance(at.H / sigma**2, fit.active) * time)
     notes = [
         Note(
             "offset_not_determined",
@@ -204,6 +206,7 @@ def _estimate(problem: Problem, fit: _Fit) -> Estimate:
         minor_radius=torus.minor_radius,
         sigma_t=sigma,
         covariance=covariance.select(kept),
+        correlation=Correlation(position=time),
         residual=linearise(torus, fit.angles, problem).residual.T,
         iterations=fit.iterations,
         converged=fit.converged,

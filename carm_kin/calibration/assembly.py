@@ -22,7 +22,7 @@ from carm_kin.results.parts import (
     ToldOffset,
 )
 from carm_kin.results.result import CalibrationResult
-from solvers.estimate import Covariance, Estimate, Note, Told
+from solvers.estimate import Correlation, Covariance, Estimate, Note, Told
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.verdict.assess import Assessment
@@ -58,7 +58,12 @@ def result_of(
         orbital_referenced=torus.orbital_referenced if torus else False,
         sigma=sigma_of(covariance, len(estimate.center)) if ok else Sigma(),
         covariance=covariance if ok else None,
-        noise=NoiseLevel(assessment.sigma_t, assessment.sigma_r, None in (problem.sigma_t, problem.sigma_r)),
+        noise=noise_level(
+            (assessment.sigma_t, assessment.sigma_r),
+            None in (problem.sigma_t, problem.sigma_r),
+            assessment.correlation,
+            int(used.sum()),
+        ),
         residuals=_residuals("overall", assessment, slice(None), assessment.chi2_per_dof),
         residuals_per_sweep=_residuals_per_sweep(recording, assessment),
         poses=len(recording),
@@ -93,6 +98,16 @@ def told_offset(told: Told) -> ToldOffset:
     )
 
 
+def noise_level(
+    sigma: tuple[float, float | None], estimated: bool, correlation: Correlation | None, used: int
+) -> NoiseLevel:
+    """Both noises, m and rad, with their ``correlation`` over the ``used`` poses."""
+    if correlation is None:
+        return NoiseLevel(*sigma, estimated)
+    rotation = None if sigma[1] is None else correlation.rotation
+    return NoiseLevel(*sigma, estimated, correlation.position, rotation, used / correlation.longest)
+
+
 def _outliers(recording: Recording, used: np.ndarray) -> Outliers:
     numbers = tuple(int(i) for i in recording.pose_number[~used])
     reasons = (Rejection("does not agree with the other poses", len(numbers), numbers),) if numbers else ()
@@ -104,7 +119,7 @@ def refused_result(
 ) -> CalibrationResult:
     """A refusal before there is an estimate."""
     nothing = Estimate(solver, center=np.zeros((len(recording.placements), 3)))
-    blank = Assessment(None, np.zeros((1, 3)), None, 0.0, None, 1.0, np.zeros(0), (refusal.message,), (), refusal)
+    blank = Assessment(None, np.zeros((1, 3)), None, 0.0, None, 1.0, None, np.zeros(0), (refusal.message,), (), refusal)
     return result_of(recording, to_problem(recording), nothing, blank, options, provenance)
 
 

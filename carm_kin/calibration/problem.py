@@ -38,4 +38,11 @@ def to_problem(recording: Recording, angular: str = "angular", orbital: str = "o
                 file=file,
                 column="moving",
             )
-    return Problem(recording.p_world_sensor, recording.R_world_sensor, recording.placement_number, held, label)
+    return Problem(
+        recording.p_world_sensor,
+        recording.R_world_sensor,
+        recording.placement_number,
+        held,
+        label,
+        time_s=recording.time_s,
+    )

@@ -79,6 +79,11 @@ class NoiseLevel:
     translation_m: float | None
     rotation_rad: float | None
     estimated: bool
+    translation_correlation_poses: float | None = None
+    """For how many poses the noise of the positions lasts: 1 where it is white, None where nothing was estimated."""
+    rotation_correlation_poses: float | None = None
+    effective_poses: float | None = None
+    """The used poses over the longer of both: so many independent ones would tell as much."""
 
 
 @dataclass(frozen=True)

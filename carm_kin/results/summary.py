@@ -263,7 +263,11 @@ def _quality(result: "CalibrationResult") -> list[Row]:
     rms = _both(residuals.translation_rms_m, residuals.rotation_rms_rad)
     level = _both(noise.translation_m, noise.rotation_rad)
     kind = "estimated" if noise.estimated else "given"
-    return [Row("residuals, rms", rms), Row(f"noise an axis, {kind}", level)]
+    rows = [Row("residuals, rms", rms), Row(f"noise an axis, {kind}", level)]
+    if noise.effective_poses is not None and round(noise.effective_poses) < result.used:
+        lasts = f"{result.used / noise.effective_poses:.1f} poses: {noise.effective_poses:.0f} of {result.used} count"
+        rows.append(Row("noise correlated over", lasts))
+    return rows
 
 
 def _chain(chain: ChainCalibration) -> list[Row]:

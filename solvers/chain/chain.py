@@ -16,8 +16,10 @@ from solvers.chain.identifiable import Dependence, Identifiable, identifiable
 from solvers.chain.machine import Machine, pose_residual
 from solvers.chain.noise import first_sigma, next_sigma, redundancy
 from solvers.chain.nominal import Nominal
-from solvers.chain.problem import ChainProblem, Layout
+from solvers.chain.problem import ORIENTATIONS, POSITIONS, ChainProblem, Layout
+from solvers.estimate import Correlation
 from solvers.kinematic import OUTLIER_PROBABILITY, SIGMA_FLOOR
+from solvers.likelihood.correlation import Stretches, correlation_of, with_correlation
 from solvers.se3 import Array, exp_se3
 
 SETTLING = 3
@@ -72,6 +74,10 @@ class ChainEstimate:
     """(D,) mask of the unknowns that were estimated."""
     covariance: Array
     """(D, D) of the right perturbations, offsets, gains and constants; 0 where they were not estimated."""
+    white: Array
+    """(D, D) what the covariance would be if the noise were white: the inverse of the information."""
+    correlation: Correlation
+    """For how many poses the noise of positions and of orientations lasts; the covariance heeds it."""
     precision: Array
     """(D,) 1 / variance of what was known of each unknown beforehand, 0 without a prior."""
     dependent: tuple[Dependence, ...]
@@ -193,15 +199,20 @@ def _estimate(
     H = _with_prior(state, nominal)[0]
     C = covariance_of(H, choice.active)
     values = state.values + state.at.value_step(np.zeros(layout.size), state.values.shape)
+    residual = residuals(state.machine, values, problem)
+    correlation = _correlation(problem, residual / np.repeat(state.at.sigma[:2], 3), state.used, choice.active.sum())
+    poses = state.at.H_by_kind[POSITIONS], state.at.H_by_kind[ORIENTATIONS]
     return ChainEstimate(
         machine=state.machine,
         values=values,
         layout=layout,
         active=choice.active,
-        covariance=C,
+        covariance=with_correlation(C, poses, (correlation.position, correlation.rotation)),
+        white=C,
+        correlation=correlation,
         precision=nominal.precision,
         dependent=choice.dependent,
-        residual=residuals(state.machine, values, problem),
+        residual=residual,
         distance2=state.at.distance2,
         sigma=state.at.sigma,
         chi2_per_dof=state.at.cost / max(float(redundancy(state.at, C).sum()), 1.0),
@@ -209,6 +220,12 @@ def _estimate(
         iterations=iterations,
         converged=converged,
     )
+
+
+def _correlation(problem: ChainProblem, residual: Array, used: np.ndarray, unknowns: int) -> Correlation:
+    """Of the weighted ``residual`` (N, 6), within the stretches of one placement, sensor and sweep."""
+    labels = [problem.placement, problem.sensor, *problem.held.T]
+    return correlation_of(residual.T, Stretches.within(labels, problem.time_s, used), float(unknowns))
 
 
 def residuals(machine: Machine, values: Array, problem: ChainProblem) -> Array:

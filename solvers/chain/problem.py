@@ -33,6 +33,9 @@ class ChainProblem:
     """Standard deviations of positions (m) and orientations (rad) an axis, and of readings of angles (rad) and of
     lengths (m), 0 for exact readings; None where they are to be estimated."""
 
+    time_s: Array | None = None
+    """(N,) when each pose was taken, s; None: the poses stand in the order of time."""
+
     def __len__(self) -> int:
         return len(self.T_world_sensor)
 
@@ -71,7 +74,8 @@ class ChainProblem:
     def select(self, poses: np.ndarray) -> "ChainProblem":
         """The problem of some of the poses."""
         names = ("T_world_sensor", "placement", "sensor", "held", "label")
-        return replace(self, **{name: getattr(self, name)[poses] for name in names})
+        time_s = None if self.time_s is None else self.time_s[poses]
+        return replace(self, time_s=time_s, **{name: getattr(self, name)[poses] for name in names})
 
     @cached_property
     def groups(self) -> tuple[np.ndarray, ...]:

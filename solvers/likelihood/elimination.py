@@ -32,7 +32,7 @@ def normal_equations(
     """Linearise at ``angles`` (2, N) and eliminate them. ``sigma`` is the noise of position (m) and, where
     there are orientations, of rotation (rad). Poses that are not ``used`` (N,) have their angles fitted,
     but no say in anything else."""
-    total = _Sums(problem.placements, len(model.sweep_placement), len(problem))
+    total = _Sums(problem.placements, len(model.sweep_placement), len(problem), 3 * len(sigma))
     for here in _blocks(len(problem)):
         part = problem.select(here)
         line = linearise(torus, angles[:, here], part)
@@ -55,11 +55,12 @@ def _blocks(n: int) -> Iterator[slice]:
 class _Sums:
     """Running sums over blocks of poses."""
 
-    def __init__(self, placements: int, sweeps: int, n: int):
+    def __init__(self, placements: int, sweeps: int, n: int, rows: int):
         self.moment = np.zeros((placements, WIDTH, WIDTH))
         self.position_moment, self.reading_moment = np.zeros((2, placements, WIDTH, WIDTH))
         self.sweep, self.sweep_position, self.sweep_reading = np.zeros((3, sweeps, WIDTH))
         self.response = np.empty((2, WIDTH, n))
+        self.left = np.empty((rows, n))
         self.distance2 = np.empty(n)
         self.squares = np.zeros(2)
         self.poses = self.free = 0
@@ -85,7 +86,7 @@ class _Sums:
         X = self.response[..., here]
         X[0] = G_inverse[0] * C[0] + G_inverse[1] * C[1]
         X[1] = G_inverse[1] * C[0] + G_inverse[2] * C[1]
-        left = B[:, RESIDUAL] - A[:, 0] * X[0, RESIDUAL] - A[:, 1] * X[1, RESIDUAL]
+        self.left[:, here] = left = B[:, RESIDUAL] - A[:, 0] * X[0, RESIDUAL] - A[:, 1] * X[1, RESIDUAL]
         self.distance2[here] = (left**2).sum(axis=0)
         if used is not None:
             B, C, A, error = (x * used for x in (B, C, A, error))
@@ -161,6 +162,7 @@ class _Sums:
             redundancy=(3 * self.poses - absorbed, float(3 * self.poses - rotation)),
             exchanged=self.exchanged,
             distance2=self.distance2,
+            left=self.left,
             squares=(float(self.squares[0]), float(self.squares[1])),
             reading_cost=self.reading_cost,
             sigma=sigma,

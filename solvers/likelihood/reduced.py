@@ -38,6 +38,8 @@ class Reduced:
     sigma: tuple[float, ...]
     distance2: Array
     """(N,) squared Mahalanobis distance of each pose's residual once its own free angles are fitted."""
+    left: Array
+    """(rows, N) weighted residuals of each pose once its own free angles are fitted."""
     _position: tuple[Array, float]
     """Gradient and constant that complete `position_information` to a quadratic form, and"""
     _reading: tuple[Array, float]

@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 
 from solvers import pivot
-from solvers.estimate import Covariance, Estimate, Told
+from solvers.estimate import Correlation, Covariance, Estimate, Told
 from solvers.loci import reported_by_name
 from solvers.problem import Problem
 from solvers.se3 import Array
@@ -83,6 +83,7 @@ class Locus:
             covariance=self._covariance(found) if whole else None,
             unobservable=tuple(map(_in_words, told.untold)),
             told=told,
+            correlation=Correlation(found.lasts, found.lasts),
         )
 
     def _covariance(self, found: pivot.Pivot) -> Covariance:

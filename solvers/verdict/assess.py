@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from solvers import kinematic
-from solvers.estimate import Covariance, Estimate, Note
-from solvers.likelihood.covariance import active_unknowns, covariance_of, marginal_covariance, scaled_spectrum
+from solvers.estimate import Correlation, Covariance, Estimate, Note
+from solvers.likelihood.correlation import Stretches, correlation_of
+from solvers.likelihood.covariance import active_unknowns, covariance_of, scaled_spectrum
 from solvers.likelihood.elimination import normal_equations
 from solvers.likelihood.linearise import AngleModel, linearise
 from solvers.problem import Problem
@@ -44,6 +45,8 @@ class Assessment:
     sigma_t: float
     sigma_r: float | None
     chi2_per_dof: float
+    correlation: Correlation | None
+    """For how many poses the noise lasts; None where there is no estimate."""
     singular_values: Array
     """Of the information scaled to a unit diagonal, largest first; empty where there is no chain."""
     unobservable: tuple[str, ...]
@@ -75,7 +78,8 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
     residual = line.residual
     active = active_unknowns(part, fix_non_orthogonality=torus.non_orthogonality == 0.0)
     values, vectors, scale = scaled_spectrum(at.H, active)
-    covariance = covariance_of(torus, marginal_covariance(at.H, active))
+    correlation = estimate.correlation or correlation_of(at.left, Stretches.of(part), float(active.sum()))
+    covariance = covariance_of(torus, kinematic.correlated_covariance(at, active, correlation))
     null = vectors[:, values < limits.min_relative_information * values[-1]] / scale[:, None]
     still = joints_at_rest(torus, angles, sigma, limits)
     if _loud(sigma, limits) or (null.size and not still):
@@ -105,7 +109,7 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
     moved, moved_at = ((bump.note,), None) if bump else ((), moved_at)
     causes = moved if bump and bump.harmful else causes
     fitted = estimate.covariance is not None and not refusal and not causes
-    clean = residual_notes(part, angles, residual, at.redundancy[0]) if fitted else ()
+    clean = residual_notes(angles, residual, at.redundancy[0], correlation) if fitted else ()
     parts = left_out(torus, angles, part, sigma, active, estimate.covariance) if fitted else None
     return Assessment(
         angles=_spread(angles.T, used),
@@ -114,6 +118,7 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         sigma_t=sigma[0],
         sigma_r=sigma[1],
         chi2_per_dof=float(chi2_per_dof),
+        correlation=correlation,
         singular_values=values[::-1],
         unobservable=unobservable,
         notes=(*_rejections(used, moved_at, limits), *(causes or moved), *clean),
@@ -173,6 +178,7 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
         sigma_t=sigma,
         sigma_r=None,
         chi2_per_dof=float((residual**2).mean() / given**2) if given else 1.0,
+        correlation=estimate.correlation,
         singular_values=np.zeros(0),
         unobservable=estimate.unobservable,
         notes=(),
@@ -197,6 +203,7 @@ def _assess_point(problem: Problem, part: Problem, estimate: Estimate, used: np.
         sigma_t=estimate.sigma_t or 0.0,
         sigma_r=estimate.sigma_r,
         chi2_per_dof=of_point.chi2_per_dof(part, estimate),
+        correlation=estimate.correlation,
         singular_values=np.zeros(0),
         unobservable=estimate.unobservable,
         notes=(

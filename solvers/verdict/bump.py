@@ -16,7 +16,7 @@ from solvers.likelihood.linearise import Linearisation, linearise
 from solvers.problem import Problem
 from solvers.se3 import Array, exp_se3, inverse, log_so3_small
 from solvers.torus import Torus
-from solvers.verdict.change import SENSOR, Change, most_likely, rows_of
+from solvers.verdict.change import SENSOR, Change, correlation_beside, most_likely, rows_of
 
 FALSE_ALARM = 1e-6
 """Probability of a change where there is none, under independent noise."""
@@ -56,13 +56,18 @@ def bump_of(
         return None
     rows = rows_of(line, angles, part, sigma, flex=True)
     change = most_likely(rows, part)
-    if change is None or change.probability > FALSE_ALARM:
+    slip = most_likely(rows, part, of=SENSOR)
+    if change is None or slip is None:
+        return None
+    of_sensor = slip.statistic > change.statistic
+    lasts = correlation_beside(rows, part, slip, SENSOR) if of_sensor else correlation_beside(rows, part, change)
+    slip, plain, change = slip.over(lasts), plain.over(lasts), change.over(lasts)
+    if max(plain.probability, change.probability) > FALSE_ALARM:
         return None
     by_angle = (most_likely(rows, part, by=angle) for angle in angles)
-    if any(rival.statistic + BETTER > change.statistic for rival in by_angle if rival):
+    if any(rival.over(lasts).statistic + BETTER > change.statistic for rival in by_angle if rival):
         return None
-    slip = most_likely(rows, part, of=SENSOR)
-    if slip and slip.statistic > max(change.statistic, slip.drift) + BETTER:
+    if slip.statistic > max(change.statistic, slip.drift) + BETTER:
         return _slip(torus, int(np.flatnonzero(used)[slip.pose]), slip.displacement, sigma)
     return _confirmed(problem, used, torus, sigma, plain, change)
 
@@ -84,9 +89,12 @@ def _confirmed(
             return None
         torus, used, angles, part = fit.torus, fit.used, fit.angles[fit.used].T, problem.select(fit.used)
         line = linearise(torus, angles, part)
-        rest, other = (most_likely(rows_of(line, angles, part, sigma, flex), part) for flex in (True, False))
+        rows = rows_of(line, angles, part, sigma, flex=True)
+        rest, other = most_likely(rows, part), most_likely(rows_of(line, angles, part, sigma, flex=False), part)
         if rest is None or other is None:
             return None
+        lasts = correlation_beside(rows, part, rest)
+        rest, other = rest.over(lasts), other.over(lasts)
         quiet = len(poses) == 1 and rest.probability > QUIET
         if (quiet or rest.statistic * clear < least) and explained > plain.drift + BETTER:
             return _bump(whole, problem, fit, poses, offset)

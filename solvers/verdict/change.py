@@ -6,10 +6,11 @@ the estimate for every k at once, with all angles and all unknowns of the machin
 ordered in time.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from solvers.likelihood.correlation import Stretches, correlation_of, correlation_time
 from solvers.likelihood.linearise import LOCAL, AngleModel, Linearisation
 from solvers.likelihood.reduced import RESIDUAL, blocks_of, inverse_blocks, weighted
 from solvers.problem import Problem
@@ -46,8 +47,28 @@ class Change:
     """By how much the change lowers the weighted sum of squares."""
     drift: float
     """By how much a drift through the same placement would, linear and quadratic in the number of the pose."""
-    probability: float
-    """That noise alone makes so great a statistic anywhere (a bound)."""
+    dof: tuple[int, int]
+    """Directions of the change that are seen, and what is left of the residuals beside them."""
+    variance: float
+    """Mean square of the weighted residuals that the change leaves."""
+    poses: int
+    """At which a change was looked for."""
+    correlation: float = 1.0
+    """For how many poses the noise lasts: the statistics are divided by it."""
+
+    @property
+    def probability(self) -> float:
+        """That noise alone makes so great a statistic anywhere (a bound)."""
+        seen, left = self.dof
+        if min(seen, left) <= 0:
+            return 1.0
+        F = self.statistic / seen / max(self.variance, EXACT)
+        return min(1.0, self.poses / self.correlation * f_tail(seen, max(left / self.correlation, 1.0), F))
+
+    def over(self, correlation: float) -> "Change":
+        """The same where the noise lasts for so many poses."""
+        by = correlation / self.correlation
+        return replace(self, statistic=self.statistic / by, drift=self.drift / by, correlation=correlation)
 
 
 def rows_of(line: Linearisation, angles: Array, problem: Problem, sigma: tuple[float, float], flex: bool) -> Array:
@@ -91,16 +112,31 @@ def most_likely(rows: Array, problem: Problem, by: Array | None = None, of: slic
         k = int(np.argmax(lowered))
         if best is None or lowered[k] > best.statistic:
             dof = FREEDOM * len(problem) - normal.rank - seen[k]
-            known = min(dof, seen[k]) > 0
-            F = lowered[k] / seen[k] / max((normal.cost - lowered[k]) / dof, EXACT) if known else 0.0
             best = Change(
                 pose=int(here[cuts[k]]),
                 displacement=delta[k],
                 statistic=float(lowered[k]),
                 drift=_drift(normal, p, products, of),
-                probability=min(1.0, len(problem) * f_tail(int(seen[k]), int(dof), float(F))) if known else 1.0,
+                dof=(int(seen[k]), int(dof)),
+                variance=float(normal.cost - lowered[k]) / max(dof, 1),
+                poses=len(problem),
             )
     return best
+
+
+def correlation_beside(rows: Array, problem: Problem, change: Change, of: slice = BASE) -> float:
+    """For how many poses what the ``change``, in time, and all columns of ``rows`` leave lasts: the longest of both
+    kinds of noise and of what lies along the change."""
+    later = np.flatnonzero(problem.placement == problem.placement[change.pose])
+    later = later[later >= change.pose]
+    rows = rows.copy()
+    rows[:, -1, later] += np.einsum("rin,i->rn", rows[:, of][..., later], change.displacement)
+    normal = _Normal.of(rows, problem)
+    step = -(normal.C @ normal.g)[normal.columns]
+    left = rows[:, -1] + np.einsum("rin,ni->rn", rows[:, :-1], step[problem.placement])
+    along = (np.einsum("rin,i->rn", rows[:, of], change.displacement) * left).sum(axis=0)
+    stretches, unknowns = Stretches.of(problem), float(normal.rank + change.dof[0])
+    return max(correlation_of(left, stretches, unknowns).longest, correlation_time(along[:, None], stretches))
 
 
 def _drift(normal: "_Normal", p: int, products: Array, of: slice) -> float:

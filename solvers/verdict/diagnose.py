@@ -189,7 +189,7 @@ def _noise_if_explained(evidence: Evidence, suspect: Suspect) -> float | None:
     limits = evidence.limits
     whole = len(suspect.corrected) == len(evidence.some)
     fit = _fitted(suspect.corrected, kinematic.Options(reject_outliers=whole))
-    if fit is None or fit.used is None or not evidence.plausible(fit):
+    if fit is None or fit.used is None or not fit.converged or not evidence.plausible(fit):
         return None
     rejected = 0.0 if evidence.estimate.used is None else 1 - evidence.estimate.used.mean()
     if 1 - fit.used.mean() > max(MOST_REJECTED if rejected < MOST_REJECTED else 0.0, 0.5 * rejected):

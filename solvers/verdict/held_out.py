@@ -7,9 +7,9 @@ the part moves by
     delta_b = (H - H_b)^-1 g_b,    Cov delta_b = (H - H_b)^-1 - H^-1
 
 where the noise is what the fit takes it for and the gradients sum to g = 0; where they do not, since another solver
-made the estimate, it is the moves of one Gauss-Newton step that are compared, ``C g - (H - H_b)^-1 (g - g_b)``. Noise that is correlated from sweep to sweep, a C that sags and a machine
-that slips move it further; then the jackknife, C_J = (B - 1) / B sum delta_b delta_b', shows how far the estimate may
-be off.
+made the estimate, it is the moves of one Gauss-Newton step that are compared, ``C g - (H - H_b)^-1 (g - g_b)``. A C
+that sags and a machine that slips move it further; then the jackknife, C_J = (B - 1) / B sum delta_b delta_b', shows
+how far the estimate may be off.
 """
 
 from dataclasses import dataclass

@@ -48,7 +48,7 @@ def left_out(
     others = np.concatenate([np.zeros(0, dtype=int), *groups.values()])
     if not others.size or max(estimate.sigma[:2]) < EXACT:
         return None
-    wanted, C = estimate.active.copy(), estimate.covariance
+    wanted, C = estimate.active.copy(), estimate.white
     wanted[others] = True
     at = normal_equations(
         estimate.machine, estimate.values, problem, estimate.layout, estimate.sigma, estimate.used, wanted

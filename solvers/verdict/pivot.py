@@ -80,7 +80,7 @@ def causes_of_misfit(problem: Problem, limits: Limits) -> tuple[Note, ...]:
 
 def residual_notes(part: Problem, estimate: Estimate) -> tuple[Note, ...]:
     """What the residuals of an accepted point still show."""
-    found = None if estimate.residual is None else correlated(_neighbours(part), estimate.residual.T)
+    found = None if estimate.correlation is None else correlated(estimate.correlation, len(part))
     return () if found is None else (found,)
 
 

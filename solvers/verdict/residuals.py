@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from solvers.estimate import Note
+from solvers.estimate import Correlation, Note
 from solvers.problem import Problem
 from solvers.se3 import Array, rot_y
 from solvers.verdict.f_test import f_tail
@@ -17,16 +17,17 @@ MOST_POSES = 2000
 """Poses on which the regression is made."""
 EXACT = 1e-6
 """Residuals below this, m and rad, are rounding."""
-CORRELATION = 0.2
-"""Correlation of neighbouring poses from which on the noise does not count as independent."""
+LASTING = 1.5
+"""Poses from which on the noise does not count as independent."""
 
 
-def residual_notes(problem: Problem, angles: Array, residual: Array, redundancy: float) -> tuple[Note, ...]:
+def residual_notes(angles: Array, residual: Array, redundancy: float, correlation: Correlation) -> tuple[Note, ...]:
     """Notes on the residuals (6, N) in the carm frame, m and rad, of the poses at ``angles`` (2, N).
 
-    ``redundancy`` is the number of position residuals less what the angles absorb.
+    ``redundancy`` is the number of position residuals less what the angles absorb, ``correlation`` how long the noise
+    lasts.
     """
-    found = *_flex(angles, residual[:3], redundancy), correlated(_neighbours(problem), residual)
+    found = *_flex(angles, residual[:3], redundancy), correlated(correlation, residual.shape[1])
     return tuple(note for note in found if note is not None)
 
 
@@ -91,13 +92,12 @@ def _neighbours(problem: Problem) -> np.ndarray:
     return (np.diff(problem.held, axis=0) == 0).all(axis=1) & (np.diff(problem.placement) == 0)
 
 
-def correlated(same: np.ndarray, residual: Array) -> Note | None:
-    """A note where neighbouring poses, as in `correlation`, have alike residuals."""
-    worst = correlation(same, residual)
-    if worst <= max(CORRELATION, 5 / np.sqrt(3 * max(int(same.sum()), 1))):
+def correlated(lasts: Correlation, poses: int) -> Note | None:
+    """A note where the noise of so many ``poses`` lasts for longer than a pose."""
+    if lasts.longest < LASTING:
         return None
     return Note(
         "correlated_residuals",
-        f"residuals of neighbouring poses agree (correlation {worst:.2f}): the noise is not independent, so that the "
-        "stated standard deviations are too small",
+        f"residuals of neighbouring poses agree: the noise lasts for {lasts.longest:.1f} poses, so that "
+        f"{poses / lasts.longest:.0f} of {poses} count; the stated standard deviations heed it",
     )

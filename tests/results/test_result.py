@@ -79,7 +79,10 @@ def test_the_file_has_the_keys_of_the_design(result):
     assert {"translation_rms_mm", "rotation_rms_deg", "chi2_per_dof"} <= data["residuals"]["overall"].keys()
     assert len(data["residuals"]["per_sweep"]) == 8
     assert data["covariance"].keys() == {"names", "matrix"}
-    assert data["noise"].keys() == {"translation_mm", "rotation_deg", "estimated"}
+    assert data["noise"].keys() == {
+        "translation_mm", "rotation_deg", "estimated",
+        "translation_correlation_poses", "rotation_correlation_poses", "effective_poses",
+    }  # fmt: skip
     assert data["outliers"].keys() == {"count", "indices", "reasons"}
     assert data["observability"].keys() == {"singular_values", "condition", "unobservable"}
     assert data["placements"][0].keys() == {

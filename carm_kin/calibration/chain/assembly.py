@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from carm_kin.calibration.assembly import conventions, sigma_of
+from carm_kin.calibration.assembly import conventions, noise_level, sigma_of
 from carm_kin.calibration.chain import checks, numbers
 from carm_kin.calibration.chain.model import ChainModel
 from carm_kin.calibration.chain.problem import Gathered
@@ -161,7 +161,12 @@ def result_of_chain(
     done = replace(
         blank.bare((*gathered.notes, *checks.notes(model, problem, estimate, left, limits))),
         refusal=refusal,
-        noise=NoiseLevel(float(estimate.sigma[0]), float(estimate.sigma[1]), None in problem.sigma[:2]),
+        noise=noise_level(
+            (float(estimate.sigma[0]), float(estimate.sigma[1])),
+            None in problem.sigma[:2],
+            estimate.correlation,
+            used,
+        ),
         residuals=Residuals("overall", error.translation_rms_m, error.rotation_rms_rad, estimate.chi2_per_dof, used),
         residuals_per_sweep=_per_sweep(blank.recorded, gathered, estimate),
         used=used,

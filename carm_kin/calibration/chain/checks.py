@@ -133,7 +133,7 @@ def notes(
     if left and left.share < MOSTLY:
         words = f"{_left_out_words(left)}; the stated uncertainty does not cover this"
         found.append(Note("more_to_free", words))
-    if note := correlated(_neighbours(problem, estimate.used), estimate.residual[estimate.used].T):
+    if note := correlated(estimate.correlation, int(estimate.used.sum())):
         found.append(note)
     found += _notes_on_joints(joint_changes(model, estimate))
     if by_prior := _by_prior(model, estimate):
@@ -173,7 +173,7 @@ def _by_prior(model: ChainModel, estimate: ChainEstimate) -> list[str]:
     """
     known = np.flatnonzero(estimate.active & (estimate.precision > 0))
     scale = np.sqrt(estimate.precision[known])
-    shares, directions = np.linalg.eigh(estimate.covariance[np.ix_(known, known)] * np.outer(scale, scale))
+    shares, directions = np.linalg.eigh(estimate.white[np.ix_(known, known)] * np.outer(scale, scale))
     told = np.zeros(len(estimate.active), dtype=bool)
     told[known] = (np.abs(directions[:, shares > MOSTLY]) > COMPONENT).any(axis=1)
     layout, found = estimate.layout, []

@@ -16,6 +16,9 @@ from solvers.se3 import transform
 SENSOR = "sensor"
 """The column of a recording that names the sensor link of each pose."""
 
+BETWEEN_S = 1e6
+"""Time that is put between two recordings, whose clocks differ."""
+
 
 @dataclass(frozen=True, eq=False)
 class Gathered:
@@ -57,8 +60,20 @@ def gather(
         label=np.concatenate([part.label for part in parts]),
         prismatic=model.machine.prismatic,
         sigma=sigma,
+        time_s=_times(recordings),
     )
     return Gathered(problem, labels, _notes(model, parts))
+
+
+def _times(recordings: Sequence[Recording]) -> np.ndarray | None:
+    """(N,) on one clock, s, the recordings one `BETWEEN_S` after the other; None where one has no times."""
+    times, start = [], 0.0
+    for recording in recordings:
+        if recording.time_s is None:
+            return None
+        times.append(recording.time_s - recording.time_s.min(initial=np.inf) + start)
+        start = float(times[-1].max(initial=start)) + BETWEEN_S
+    return np.concatenate(times)
 
 
 @dataclass(frozen=True, eq=False)
