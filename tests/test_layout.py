@@ -49,7 +49,8 @@ PLAN = {
     "solvers.chain": "solvers.estimate solvers.kinematic solvers.likelihood solvers.problem solvers.se3 solvers.torus",
     "solvers.kinematic": "solvers.estimate solvers.likelihood solvers.problem solvers.se3 solvers.start solvers.torus",
     "solvers.closed_form": "solvers.estimate solvers.problem solvers.start",
-    "solvers.direct": "solvers.decomposed solvers.estimate solvers.likelihood solvers.loci solvers.problem solvers.se3 solvers.start",
+    "solvers.direct": "solvers.decomposed solvers.estimate solvers.likelihood solvers.loci solvers.problem solvers.se3 "
+    "solvers.start",
     "solvers.decomposed": "solvers.estimate solvers.problem solvers.se3 solvers.start solvers.torus",
     "solvers.surface": "solvers.estimate solvers.likelihood solvers.problem solvers.se3 solvers.torus",
     "solvers.loci": "solvers.estimate solvers.pivot solvers.plugins solvers.problem solvers.se3 solvers.start "

@@ -23,7 +23,7 @@ TOGETHER = {
     **{f"carm_kin.{name}": GROUND for name in ("canvas", "errors", "files", "steps", "typed", "version")},
     "solvers": METHODS,
     **{f"solvers.{name}": METHODS for name in ("closed_form", "decomposed", "direct", "kinematic", "surface")},
-    **{f"solvers.{name}": BASE for name in ("estimate", "pivot", "plugins", "problem", "se3", "told", "torus")},
+    **{f"solvers.{name}": BASE for name in ("estimate", "plugins", "problem", "se3", "told", "torus")},
     **{f"solvers.{name}": IN_USE for name in ("nearest", "still_point")},
 }
 """Modules in one box, which bears this name; any other root file has a box of its own, as every room has."""
