@@ -13,6 +13,7 @@ from solvers.estimate import Covariance, Estimate, Note
 from solvers.likelihood.covariance import active_unknowns, covariance_of, marginal_covariance, scaled_spectrum
 from solvers.likelihood.elimination import normal_equations
 from solvers.likelihood.linearise import AngleModel, linearise
+from solvers.likelihood.reduced import Reduced
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.start.axes import ambiguous
@@ -20,7 +21,7 @@ from solvers.torus import Torus
 from solvers.verdict.bump import bump_of
 from solvers.verdict.diagnose import LABELS, base_moved_at, causes_of
 from solvers.verdict.limits import Limits, misfit, uncertain
-from solvers.verdict.observability import AMBIGUOUS, in_words, joints_at_rest, thickness, turns_about_one_axis
+from solvers.verdict.observability import AMBIGUOUS, balanced, in_words, joints_at_rest, thickness, turns_about_one_axis
 from solvers.verdict.residuals import neighbour_correlation, residual_notes
 
 __all__ = ["Assessment", "Limits", "assess"]
@@ -65,10 +66,10 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
     line = linearise(torus, angles, part)
     residual = line.residual
     active = active_unknowns(part, fix_non_orthogonality=torus.non_orthogonality == 0.0)
-    values, vectors, scale = scaled_spectrum(at.H, active)
+    values, vectors, scale = scaled_spectrum(_information(torus, angles, part, at, sigma), active)
     covariance = covariance_of(torus, marginal_covariance(at.H, active))
     null = vectors[:, values < limits.min_relative_information * values[-1]] / scale[:, None]
-    still = joints_at_rest(torus, angles, sigma, limits)
+    still = joints_at_rest(part, angles, sigma[1], limits)
     if _loud(sigma, limits) or (null.size and not still):
         still = turns_about_one_axis(part)
     unobservable = (*still, *in_words(torus, active, null))
@@ -107,6 +108,12 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         notes=(*_rejections(used, moved_at, limits), *(causes or moved), *clean),
         refusal=_with_causes(refusal, causes, used, limits),
     )
+
+
+def _information(torus: Torus, angles: Array, part: Problem, at: Reduced, sigma: tuple[float, float]) -> Array:
+    """The information (D, D) by which observability is judged: that of `balanced` noises."""
+    equal = balanced(sigma, torus)
+    return at.H if equal == sigma else normal_equations(torus, angles, part, AngleModel.of(part), equal).H
 
 
 def _loud(sigma: tuple[float, float], limits: Limits) -> bool:
