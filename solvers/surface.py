@@ -204,6 +204,7 @@ def _estimate(problem: Problem, fit: _Fit) -> Estimate:
         minor_radius=torus.minor_radius,
         sigma_t=sigma,
         covariance=covariance.select(kept),
+        angles=fit.angles.T,
         residual=linearise(torus, fit.angles, problem).residual.T,
         iterations=fit.iterations,
         converged=fit.converged,

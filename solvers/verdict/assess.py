@@ -152,6 +152,8 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
         refusal = Note("unobservable", "; ".join(estimate.unobservable))
     elif sigma > limits.max_sigma_t_m:
         refusal = misfit(sigma, 0.0)
+    elif still := _arcs_of_positions(part, estimate, used, sigma, limits):
+        refusal = Note("unobservable", "; ".join(still))
     elif estimate.offset is None and thickness(part) < limits.min_spread_sigmas * sigma:
         refusal = Note(
             "unobservable", "the positions fill no surface beyond their noise: the arcs are too short for it"
@@ -171,6 +173,15 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
         notes=(),
         refusal=refusal,
     )
+
+
+def _arcs_of_positions(
+    part: Problem, estimate: Estimate, used: np.ndarray, sigma: float, limits: Limits
+) -> tuple[str, ...]:
+    """`joints_at_rest` where the joints' angles are known from positions alone."""
+    if estimate.angles is None or not estimate.minor_radius:
+        return ()
+    return joints_at_rest(part, estimate.angles[used].T, sigma / estimate.minor_radius, limits)
 
 
 def _hardly_any(problem: Problem, part: Problem, limits: Limits) -> Note | None:

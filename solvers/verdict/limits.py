@@ -33,7 +33,7 @@ class Limits:
     max_moved_share: float = 0.3
     """Largest share of poses that may belong to another place of the base."""
     min_arc_rad: float = float(np.radians(5.0))
-    """A joint that an unknown needs is swept by at least so much: noise, wobble and sag turn a joint at rest by less."""
+    """A joint that an unknown needs is swept by at least so much: noise, wobble and sag turn one at rest by less."""
     min_arc_sigmas: float = 10.0
     """And by so many standard deviations of the orientation of one pose."""
     least_sigma_r_rad: float = float(np.radians(0.05))

@@ -73,8 +73,8 @@ def joints_at_rest(problem: Problem, angles: Array, sigma_r: float, limits: Limi
     where = "" if len(members) == 1 or name == "orbital" else f" at placement {int(np.argmin(arcs)) + 1}"
     unknown = "the offset along the other axis" if not where else "where the base stood there"
     return (
-        f"no {name} motion{where} (it spans {np.degrees(arc):.2g} deg, at least {np.degrees(least):.2g} are needed): the "
-        f"{name} axis and {unknown} are unknown",
+        f"no {name} motion{where} (it spans {np.degrees(arc):.2g} deg, at least {np.degrees(least):.2g} are needed): "
+        f"the {name} axis and {unknown} are unknown",
         *(() if where else one_axis_in_words(problem.select(here))),
     )
 
