@@ -144,7 +144,8 @@ def _too_long(torus: Torus, limits: Limits) -> Note | None:
 def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limits: Limits) -> Assessment:
     """The verdict on an estimate without a chain, from its own residuals."""
     residual = estimate.residual if estimate.residual is not None else np.zeros((len(part), 1))
-    sigma = estimate.sigma_t or float(np.sqrt((residual**2).mean()))
+    mean_square = float((residual**2).sum()) / max(residual.size, 1)
+    sigma = estimate.sigma_t or float(np.sqrt(mean_square))
     refusal = None
     if len(part) < limits.min_poses:
         refusal = Note("too_few_poses", f"{len(part)} usable poses; at least {limits.min_poses} are needed")
@@ -167,7 +168,7 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
         rotation_residual=None,
         sigma_t=sigma,
         sigma_r=None,
-        chi2_per_dof=float((residual**2).mean() / given**2) if given else 1.0,
+        chi2_per_dof=mean_square / given**2 if given else 1.0,
         singular_values=np.zeros(0),
         unobservable=estimate.unobservable,
         notes=(),
