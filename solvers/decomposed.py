@@ -21,9 +21,12 @@ import numpy as np
 from solvers.estimate import Estimate
 from solvers.problem import ANGULAR, ORBITAL, Problem
 from solvers.se3 import Array
+from solvers.start.rank_one import unit
 from solvers.start.ransac import best_circles, consensus, fit_circles
 from solvers.torus import Axes
 
+PARALLEL = 1e-12
+"""Least squared sine of the angle between the axes that is divided by: none is the foot of parallel ones."""
 STREAM = 0xDEC0
 """Keeps the draws apart from those of a simulation with the same seed."""
 
@@ -141,11 +144,10 @@ def _compose(
     epsilon = -np.einsum("...si,...i->...s", y, n)
     if fixed:
         epsilon = np.zeros_like(epsilon)
-    z = np.cross(n[..., None, :], y)
-    z /= np.linalg.norm(z, axis=-1, keepdims=True)
+    z = unit(np.cross(n[..., None, :], y))
     along = np.einsum("...si,...si->...s", on_axis[..., None, :] - c_c, y)
     w = weight[orbital]
-    foot = (height - epsilon * along) / (1 - epsilon**2)
+    foot = (height - epsilon * along) / np.maximum(1 - epsilon**2, PARALLEL)
     c = on_axis + np.average(foot, axis=-1, weights=w)[..., None] * n
     R = np.average(np.einsum("...si,...si->...s", c_c - on_axis[..., None, :], z), axis=-1, weights=w)
     return c, n, a, R, np.arcsin(np.clip(np.average(epsilon, axis=-1, weights=w), -1, 1))
@@ -158,8 +160,7 @@ def _common_direction(v: Array, weight: Array) -> Array:
 
 def _average_offset(R_ws: Array, p: Array, c: Array, n: Array, a: Array, R: Array) -> Array:
     """Step 5 for poses (M, ...) and any number of hypotheses (..., 3)."""
-    z = np.cross(n[..., None, :], np.einsum("mij,...j->...mi", R_ws, a))
-    z /= np.linalg.norm(z, axis=-1, keepdims=True)
+    z = unit(np.cross(n[..., None, :], np.einsum("mij,...j->...mi", R_ws, a)))
     pivot = c[..., None, :] + R[..., None, None] * z
     return np.einsum("mji,...mj->...i", R_ws, pivot - p) / len(p)
 
@@ -178,7 +179,7 @@ def _consensus(problem: Problem, sweeps: _Sweeps, options: Options, rng: np.rand
     c, n, a, R, _ = _compose(center, normal, orientation, np.ones(len(sweeps.held)), sweeps.held, fixed=True)
     orbital = sweeps.held == ANGULAR
     y = np.einsum("sij,hj->hsi", orientation[orbital], a)
-    y /= np.linalg.norm(y, axis=-1, keepdims=True)
+    y = unit(y)
     t_y = np.einsum("hsi,hsi->hs", center[:, orbital] - c[:, None], y).mean(axis=1)
     b = radius[:, orbital].mean(axis=1)
     poses = np.concatenate(sweeps.members)
@@ -219,5 +220,5 @@ def _merged(parts: list[Axes], sizes: Array) -> Axes:
         major_radius=float(np.average([x.major_radius for x in aligned], weights=sizes)),
         non_orthogonality=float(np.average([x.non_orthogonality for x in aligned], weights=sizes)),
         offset=np.average([x.offset for x in aligned], axis=0, weights=sizes),
-        orbital_axis=a / np.linalg.norm(a),
+        orbital_axis=unit(a),
     )

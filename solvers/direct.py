@@ -28,6 +28,9 @@ LEAST_DAMPING = 1e-9
 """Relative to a unit diagonal: too small to slow a determined direction, large enough that rounding does
 not drive the solver along an undetermined one."""
 
+UNSEEN = 1e-150
+"""Least second derivative of the energy that counts: its inverse and what is made of it stay finite."""
+
 
 @dataclass(frozen=True)
 class Options:
@@ -105,7 +108,7 @@ def _estimate(
     """
     H, scores, residual = energy.scores(theta)
     time = scores_time(scores, Stretches.of(problem))
-    spread = np.sqrt(np.maximum(H.diagonal(), np.finfo(float).tiny))
+    spread = np.sqrt(np.maximum(H.diagonal(), UNSEEN))
     values, vectors = np.linalg.eigh(H / np.outer(spread, spread))
     inverse = ((vectors / np.maximum(values, 1e-15)) @ vectors.T) / np.outer(spread, spread)
     free = max(len(problem) - len(H) / residual.shape[1], 1.0)

@@ -7,6 +7,9 @@ import numpy as np
 from solvers.se3 import Array
 from solvers.torus import Torus
 
+MEANINGLESS_M, MEANINGLESS_RAD = 0.020, float(np.radians(10.0))
+"""A quantity of a greater standard deviation is not determined, and that is said instead of the number."""
+
 
 @dataclass(frozen=True)
 class Note:

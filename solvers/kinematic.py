@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from solvers.estimate import Correlation, Estimate, Note
+from solvers.estimate import MEANINGLESS_RAD, Correlation, Estimate, Note
 from solvers.likelihood.correlation import Stretches, correlation_of, with_correlation
 from solvers.likelihood.covariance import active_unknowns, covariance_of, marginal_covariance
 from solvers.likelihood.elimination import Reduced, normal_equations
@@ -23,6 +23,9 @@ from solvers.torus import Torus, near_median
 
 SIGMA_FLOOR = 1e-7
 """Least noise assumed, m and rad: well below any tracker's resolution, far above rounding."""
+LEAST_RATIO = 1e-4
+"""Least ratio assumed of one noise to the other at a lever of a metre: its square, the weight of the worse kind of
+data, stays far above rounding, and data so much better than the other kind are exact."""
 OUTLIER_PROBABILITY = 1e-5
 """Share of sound poses that the noise alone sends beyond the bound: 5.3 to 5.9 sigma, by degrees of freedom."""
 OUTLIER_BOUND = np.array([33.107056816829, 30.856189940435904, 28.473255424006034])
@@ -62,13 +65,17 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
     estimate = _from_coarse(problem, used, options, bool(options.fix_non_orthogonality))
     sigma = _sigma_of_epsilon(estimate)
     if options.fix_non_orthogonality is None and sigma > options.max_non_orthogonality_sigma_rad:
-        note = Note(
-            "non_orthogonality_fixed",
-            f"the motion determines the non-orthogonality of the axes only to {np.degrees(sigma):.1f} deg "
-            "(one sigma); it was taken as 0",
-        )
-        return replace(_from_coarse(problem, used, options, True), notes=(note,))
+        return replace(_from_coarse(problem, used, options, True), notes=(_fixed(sigma),))
     return estimate
+
+
+def _fixed(sigma: float) -> Note:
+    """What there is to say of a non-orthogonality that is taken as 0, as it is known to ``sigma`` (rad) only."""
+    words = "the motion does not determine the non-orthogonality of the axes"
+    if sigma <= MEANINGLESS_RAD:
+        degrees = np.degrees(sigma)
+        words = f"the motion determines the non-orthogonality of the axes only to {degrees:.1f} deg (one sigma)"
+    return Note("non_orthogonality_fixed", f"{words}; it was taken as 0")
 
 
 def _from_coarse(problem: Problem, used: np.ndarray, options: Options, fix_non_orthogonality: bool) -> Estimate:
@@ -216,7 +223,7 @@ def next_sigma(problem: Problem, at: Reduced, C: Array, step: Array) -> tuple[fl
 
 
 def _given_or(problem: Problem, estimated: Array) -> tuple[float, float]:
-    t, r = (max(float(e), SIGMA_FLOOR) for e in estimated)
+    t, r = (float(max(e, SIGMA_FLOOR, LEAST_RATIO * other)) for e, other in (estimated, estimated[::-1]))
     return t if problem.sigma_t is None else problem.sigma_t, r if problem.sigma_r is None else problem.sigma_r
 
 

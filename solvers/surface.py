@@ -207,6 +207,7 @@ def _estimate(problem: Problem, fit: _Fit) -> Estimate:
         sigma_t=sigma,
         covariance=covariance.select(kept),
         correlation=Correlation(position=time),
+        angles=fit.angles.T,
         residual=linearise(torus, fit.angles, problem).residual.T,
         iterations=fit.iterations,
         converged=fit.converged,

@@ -35,7 +35,7 @@ PLAN = {
     "solvers.kinematic solvers.likelihood solvers.problem solvers.se3 solvers.torus",
     "exports": "calibration ground machine results solvers.plugins solvers.se3",
     "calibrated": "calibration ground machine recording results solvers.estimate solvers.kinematic solvers.likelihood "
-    "solvers.nearest solvers.problem solvers.se3 solvers.still_point solvers.torus",
+    "solvers.nearest solvers.problem solvers.se3 solvers.still_point solvers.torus solvers.verdict",
     "calibration": "ground machine recording results solvers solvers.chain solvers.estimate solvers.kinematic "
     "solvers.likelihood solvers.pivot solvers.plugins solvers.problem solvers.se3 solvers.torus solvers.verdict",
     "simulation": "ground machine recording results solvers.estimate solvers.problem solvers.se3 solvers.torus",

@@ -25,6 +25,7 @@ from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.still_point import StillPoint, still_point
 from solvers.torus import Torus
+from solvers.verdict.limits import Limits, least_arc
 
 MIN_POSES = 6
 PROBABILITY = 1e-6
@@ -137,6 +138,10 @@ def _found(
     from scipy.special import chdtrc
 
     T_world_carm = scan.T_world_sensor @ torus.T_sensor_carm
+    arc, least = _turn(T_world_carm), least_arc(sigma[1], Limits())
+    if arc < least:
+        message = f"the scan turns by {np.degrees(arc):.2g} deg, of which nothing is told: at least"
+        return replace(blank, refusal=Note("too_uncertain", f"{message} {np.degrees(least):.2g} deg are needed"))
     problem = Problem.of_poses(scan.p_world_sensor, scan.R_world_sensor)
     point = still_point(problem, torus.T_sensor_carm, sigma)
     probability = float(chdtrc(point.dof, point.chi2))

@@ -189,8 +189,9 @@ def _residuals_per_sweep(recording: Recording, assessment: Assessment) -> tuple[
 
 
 def _rms(vectors: Array) -> float:
-    """Root mean square length over the used poses, whose rows are finite."""
-    return float(np.sqrt(np.nan_to_num((vectors**2).sum(axis=1)[np.isfinite(vectors[:, 0])].mean())))
+    """Root mean square length over the used poses, whose rows are finite; 0 where there are none."""
+    used = vectors[np.isfinite(vectors[:, 0])]
+    return float(np.sqrt((used**2).sum() / max(len(used), 1)))
 
 
 def _notes(estimate: Estimate, ok: bool) -> list[Note]:

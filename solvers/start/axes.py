@@ -95,11 +95,9 @@ def _consistent_signs(problem: Problem, n: Array, a: Array, s: float) -> tuple[A
     """
     _, radius, offset = _locus(problem, n, a, shared_radius=False)
     y = np.einsum("nij,j->ni", problem.rotations, a)
-    skewness = np.array(
-        [-(y[problem.placement == p] @ n[p]).mean() * np.linalg.norm(offset) for p in range(problem.placements)]
-    )
-    flip = np.where(radius * radius[0] + skewness * skewness[0] < 0, -1.0, 1.0)
-    return n * flip[:, None], float((skewness * flip).mean() / np.linalg.norm(offset))
+    sine = np.array([-(y[problem.placement == p] @ n[p]).mean() for p in range(problem.placements)])
+    flip = np.where(radius * radius[0] + (offset @ offset) * sine * sine[0] < 0, -1.0, 1.0)
+    return n * flip[:, None], float((sine * flip).mean())
 
 
 def _locus(problem: Problem, n: Array, a: Array, shared_radius: bool) -> tuple[Array, Array, Array]:

@@ -91,5 +91,5 @@ def _jacobian(n: Array, a: Array, fixed: bool) -> tuple[Array, Array, Array]:
 
 
 def unit(v: Array) -> Array:
-    """``v`` (..., K) by its length."""
-    return v / np.linalg.norm(v, axis=-1, keepdims=True)
+    """``v`` (..., K) by its length; zeros stay zeros."""
+    return v / np.maximum(np.linalg.norm(v, axis=-1, keepdims=True), np.finfo(float).tiny)

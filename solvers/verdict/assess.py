@@ -14,6 +14,7 @@ from solvers.likelihood.correlation import Stretches, correlation_of
 from solvers.likelihood.covariance import active_unknowns, covariance_of, scaled_spectrum
 from solvers.likelihood.elimination import normal_equations
 from solvers.likelihood.linearise import AngleModel, linearise
+from solvers.likelihood.reduced import Reduced
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.start.axes import ambiguous
@@ -23,7 +24,7 @@ from solvers.verdict.bump import bump_of
 from solvers.verdict.diagnose import LABELS, base_moved_at, causes_of
 from solvers.verdict.held_out import LeftOut, left_out
 from solvers.verdict.limits import Limits, misfit, uncertain
-from solvers.verdict.observability import AMBIGUOUS, in_words, joints_at_rest, thickness, turns_about_one_axis
+from solvers.verdict.observability import AMBIGUOUS, balanced, in_words, joints_at_rest, thickness, turns_about_one_axis
 from solvers.verdict.residuals import neighbour_correlation, residual_notes
 
 __all__ = ["Assessment", "Limits", "assess"]
@@ -77,11 +78,11 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
     line = linearise(torus, angles, part)
     residual = line.residual
     active = active_unknowns(part, fix_non_orthogonality=torus.non_orthogonality == 0.0)
-    values, vectors, scale = scaled_spectrum(at.H, active)
+    values, vectors, scale = scaled_spectrum(_information(torus, angles, part, at, sigma), active)
     correlation = estimate.correlation or correlation_of(at.left, Stretches.of(part), float(active.sum()))
     covariance = covariance_of(torus, kinematic.correlated_covariance(at, active, correlation))
     null = vectors[:, values < limits.min_relative_information * values[-1]] / scale[:, None]
-    still = joints_at_rest(torus, angles, sigma, limits)
+    still = joints_at_rest(part, angles, sigma[1], limits)
     if _loud(sigma, limits) or (null.size and not still):
         still = turns_about_one_axis(part)
     unobservable = (*still, *in_words(torus, active, null))
@@ -127,6 +128,12 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
     )
 
 
+def _information(torus: Torus, angles: Array, part: Problem, at: Reduced, sigma: tuple[float, float]) -> Array:
+    """The information (D, D) by which observability is judged: that of `balanced` noises."""
+    equal = balanced(sigma, torus)
+    return at.H if equal == sigma else normal_equations(torus, angles, part, AngleModel.of(part), equal).H
+
+
 def _loud(sigma: tuple[float, float], limits: Limits) -> bool:
     return sigma[0] > limits.max_sigma_t_m or sigma[1] > limits.max_sigma_r_rad
 
@@ -156,7 +163,8 @@ def _too_long(torus: Torus, limits: Limits) -> Note | None:
 def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limits: Limits) -> Assessment:
     """The verdict on an estimate without a chain, from its own residuals."""
     residual = estimate.residual if estimate.residual is not None else np.zeros((len(part), 1))
-    sigma = estimate.sigma_t or float(np.sqrt((residual**2).mean()))
+    mean_square = float((residual**2).sum()) / max(residual.size, 1)
+    sigma = estimate.sigma_t or float(np.sqrt(mean_square))
     refusal = None
     if len(part) < limits.min_poses:
         refusal = Note("too_few_poses", f"{len(part)} usable poses; at least {limits.min_poses} are needed")
@@ -164,6 +172,8 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
         refusal = Note("unobservable", "; ".join(estimate.unobservable))
     elif sigma > limits.max_sigma_t_m:
         refusal = misfit(sigma, 0.0)
+    elif still := _arcs_of_positions(part, estimate, used, sigma, limits):
+        refusal = Note("unobservable", "; ".join(still))
     elif estimate.offset is None and thickness(part) < limits.min_spread_sigmas * sigma:
         refusal = Note(
             "unobservable", "the positions fill no surface beyond their noise: the arcs are too short for it"
@@ -177,7 +187,7 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
         rotation_residual=None,
         sigma_t=sigma,
         sigma_r=None,
-        chi2_per_dof=float((residual**2).mean() / given**2) if given else 1.0,
+        chi2_per_dof=mean_square / given**2 if given else 1.0,
         correlation=estimate.correlation,
         singular_values=np.zeros(0),
         unobservable=estimate.unobservable,
@@ -213,6 +223,15 @@ def _assess_point(problem: Problem, part: Problem, estimate: Estimate, used: np.
         ),
         refusal=refusal,
     )
+
+
+def _arcs_of_positions(
+    part: Problem, estimate: Estimate, used: np.ndarray, sigma: float, limits: Limits
+) -> tuple[str, ...]:
+    """`joints_at_rest` where the joints' angles are known from positions alone."""
+    if estimate.angles is None or not estimate.minor_radius:
+        return ()
+    return joints_at_rest(part, estimate.angles[used].T, sigma / estimate.minor_radius, limits)
 
 
 def _hardly_any(problem: Problem, part: Problem, limits: Limits) -> Note | None:

@@ -16,7 +16,7 @@ from solvers.likelihood.linearise import Linearisation, linearise
 from solvers.problem import Problem
 from solvers.se3 import Array, exp_se3, inverse, log_so3_small
 from solvers.torus import Torus
-from solvers.verdict.change import SENSOR, Change, correlation_beside, most_likely, rows_of
+from solvers.verdict.change import LEAST_POSES, SENSOR, Change, correlation_beside, most_likely, rows_of
 
 FALSE_ALARM = 1e-6
 """Probability of a change where there is none, under independent noise."""
@@ -85,7 +85,7 @@ def _confirmed(
             fit = kinematic.refine(problem, start, kinematic.Options(), torus.non_orthogonality == 0.0, used)
         except np.linalg.LinAlgError:
             return None
-        if fit.torus is None or fit.angles is None or fit.used is None:
+        if fit.torus is None or fit.angles is None or fit.used is None or fit.used.sum() < LEAST_POSES:
             return None
         torus, used, angles, part = fit.torus, fit.used, fit.angles[fit.used].T, problem.select(fit.used)
         line = linearise(torus, angles, part)

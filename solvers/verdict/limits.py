@@ -6,8 +6,8 @@ import numpy as np
 
 from solvers.estimate import Covariance, Note
 
-MEANINGLESS_M = 1.0
-"""A standard deviation above this is no number."""
+A_MACHINE_M = 1.0
+"""The size of a C-arm: a standard deviation beyond it is no number worth telling."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +32,14 @@ class Limits:
     """Share of rejected poses from which on a warning says so."""
     max_moved_share: float = 0.3
     """Largest share of poses that may belong to another place of the base."""
+    min_arc_rad: float = float(np.radians(5.0))
+    """A joint that an unknown needs is swept by at least so much: noise, wobble and sag turn one at rest by less."""
+    min_arc_sigmas: float = 10.0
+    """And by so many standard deviations of the orientation of one pose."""
+    least_sigma_r_rad: float = float(np.radians(0.05))
+    """Orientation noise that is counted with at least, since a fit may take a wobble for motion."""
     min_spread_sigmas: float = 4.0
-    """A joint moves if its angle spreads by more than so many standard deviations of one pose."""
+    """Positions fill a surface if they spread by more than so many standard deviations across it."""
     max_length_m: float = 20.0
     """Distance of the sensor from the pivot above which the unit of the positions is wrong."""
     systematic_correlation: float = 0.8
@@ -42,12 +48,21 @@ class Limits:
     """A cause is named if without it the residuals are at least so many times smaller."""
 
 
+def least_arc(sigma_r: float, limits: Limits) -> float:
+    """Range, rad, that a joint's angle has to span under an orientation noise of ``sigma_r`` (rad) to count as motion.
+
+    A noise beyond `Limits.max_sigma_r_rad` is a misfit, and tells nothing of the arcs.
+    """
+    noise = min(max(sigma_r, limits.least_sigma_r_rad), limits.max_sigma_r_rad)
+    return max(limits.min_arc_rad, limits.min_arc_sigmas * noise)
+
+
 def uncertain(covariance: Covariance, limits: Limits) -> Note | None:
     worst = float(np.sqrt(np.linalg.eigvalsh(covariance.block("offset"))[-1]))
-    if worst > limits.max_offset_sigma_m:
-        how = f"is uncertain by {worst * 1e3:.0f} mm (one sigma)" if worst < MEANINGLESS_M else "is not determined"
-        return Note("too_uncertain", f"the arcs are too short for the noise: the offset {how}")
-    return None
+    if worst <= limits.max_offset_sigma_m:
+        return None
+    so_far = f"uncertain by {worst * 1e3:.0f} mm (one sigma)" if worst < A_MACHINE_M else "not determined"
+    return Note("too_uncertain", f"the arcs are too short for the noise: the offset is {so_far}")
 
 
 def misfit(sigma_t: float, sigma_r: float) -> Note:

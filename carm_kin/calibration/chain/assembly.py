@@ -151,11 +151,11 @@ def result_of_chain(
     problem, labels = gathered.problem, gathered.placements
     at = numbers.stations(problem, estimate, len(labels))
     covariance = numbers.covariance(model, estimate, at)
-    left = checks.unfreed(model, problem, estimate)
+    left = checks.unfreed(model, problem, estimate, limits)
     refusal = checks.refusal(model, problem, estimate, covariance, left, limits)
     used = int(estimate.used.sum())
     error = _error(estimate.residual, estimate.used)
-    still = problem.still & (free.placements | free.offsets | free.gains)
+    still = checks.at_rest(problem, estimate.values, limits) & (free.placements | free.offsets | free.gains)
     names = tuple(name for name, rests in zip(model.names, still, strict=True) if rests)
     open_ = numbers.not_identifiable(model, estimate, labels, names)
     done = replace(

@@ -9,6 +9,7 @@ import numpy as np
 
 from carm_kin.calibration.calibrate import check_noise, wrong_unit
 from carm_kin.calibration.chain.assembly import SOLVER, Blank, Recorded, result_of_chain
+from carm_kin.calibration.chain.checks import at_rest
 from carm_kin.calibration.chain.model import ChainModel, chain_model
 from carm_kin.calibration.chain.problem import gather, sensor_links_of, sensor_numbers
 from carm_kin.calibration.options import options_of
@@ -104,7 +105,7 @@ def calibrate_chain(
         words = f"{len(gathered.problem)} poses; at least {limits.min_poses} are needed"
         return blank.refused(Note("too_few_poses", words), gathered.notes)
     T = gathered.problem.T_world_sensor
-    estimate = wrong_unit(T[:, :3, 3], T[:, :3, :3]) or fit(gathered.problem, model, unknown, chosen)
+    estimate = wrong_unit(T[:, :3, 3], T[:, :3, :3]) or fit(gathered.problem, model, unknown, chosen, limits)
     if isinstance(estimate, Note):
         return blank.refused(estimate, gathered.notes)
     nominal = nominal_fit(gathered.problem, model, estimate)
@@ -137,8 +138,10 @@ def _repeated(recording: Recording, model: ChainModel) -> np.ndarray:
 
 
 @step("solve by chain")
-def fit(problem: ChainProblem, model: ChainModel, free: Free, options: Options) -> ChainEstimate | Note:
-    """The calibrated machine, or why there is none. Joints that stand still in all poses keep their numbers."""
+def fit(
+    problem: ChainProblem, model: ChainModel, free: Free, options: Options, limits: Limits = Limits()
+) -> ChainEstimate | Note:
+    """The calibrated machine, or why there is none. Joints that hardly move in all poses keep their numbers."""
     start = start_of(problem, model.machine, [model.axes(s) for s in range(len(model.chains))])
     if isinstance(start, Note):
         return start
@@ -146,7 +149,7 @@ def fit(problem: ChainProblem, model: ChainModel, free: Free, options: Options) 
         placed = solve_chain(problem, start.machine, start.values, free_of(model, NOTHING), options, start.agrees)
         begin = placed.machine if placed.converged else start.machine
         values = np.where(problem.read, problem.label, start.values)
-        return solve_chain(problem, begin, values, free.only(~problem.still), options, start.agrees)
+        return solve_chain(problem, begin, values, free.only(~at_rest(problem, values, limits)), options, start.agrees)
     except np.linalg.LinAlgError:
         return Note("unobservable", "the poses determine no machine: the equations are singular")
 

@@ -7,10 +7,12 @@ from carm_kin.calibration.chain.numbers import DIRECTIONS, joint_changes
 from carm_kin.machine.urdf import listing
 from carm_kin.results.chain_result import JointChange
 from solvers.chain.chain import ChainEstimate
-from solvers.chain.problem import ChainProblem
+from solvers.chain.problem import ORIENTATIONS, ChainProblem
 from solvers.estimate import Covariance, Note
+from solvers.se3 import Array
 from solvers.verdict.left_out import LeftOut, left_out
-from solvers.verdict.limits import Limits, uncertain
+from solvers.verdict.limits import Limits, least_arc, uncertain
+from solvers.verdict.observability import swept
 from solvers.verdict.residuals import correlated, correlation
 
 WEAK_M, WEAK_RAD = 5e-3, float(np.radians(0.5))
@@ -30,9 +32,19 @@ LEFT_OUT_PROBABILITY = 1e-6
 """Probability of saying of sound numbers of the URDF that they should have been free."""
 
 
-def unfreed(model: ChainModel, problem: ChainProblem, estimate: ChainEstimate) -> LeftOut | None:
+def at_rest(problem: ChainProblem, values: Array, limits: Limits = Limits()) -> np.ndarray:
+    """(J,) joints that stand still, or of which the ``values`` (N, J) span less than the least arc: nothing is told of
+    their numbers, which stay nominal."""
+    least = least_arc(problem.sigma[ORIENTATIONS] or 0.0, limits)
+    little = [not slides and swept(values[:, j]) < least for j, slides in enumerate(problem.prismatic)]
+    return problem.still | np.array(little, dtype=bool)
+
+
+def unfreed(
+    model: ChainModel, problem: ChainProblem, estimate: ChainEstimate, limits: Limits = Limits()
+) -> LeftOut | None:
     """What the URDF's numbers that were not estimated would explain, by joint; None where noise alone explains it."""
-    layout, moving = estimate.layout, np.flatnonzero(~problem.still)
+    layout, moving = estimate.layout, np.flatnonzero(~at_rest(problem, estimate.values, limits))
     groups = {f"the origin of {model.names[j]}": layout.placement(j) for j in moving}
     groups |= {f"the zero of {model.names[j]}": np.array([layout.offset(j)]) for j in moving}
     groups |= {f"the gain of {model.names[j]}": np.array([layout.gain(j)]) for j in moving}

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from carm_kin.calibration.chain.checks import at_rest
 from carm_kin.calibration.chain.model import ChainModel
 from carm_kin.calibration.cross_validate import fold_of_poses, nothing_left
 from carm_kin.recording.recording import Recording
@@ -65,8 +66,9 @@ def _fit_to(
     machine = whole.machine
     start = replace(model.machine, T_world_base=machine.T_world_base, T_last_sensor=machine.T_last_sensor)
     part = problem.select(np.flatnonzero(rest))
+    moving = free.only(~at_rest(problem, whole.values))
     try:
-        found = solve_chain(part, start, whole.values[rest], free.only(~problem.still), options, whole.used[rest])
+        found = solve_chain(part, start, whole.values[rest], moving, options, whole.used[rest])
     except np.linalg.LinAlgError:
         return Note("unobservable", "the other poses determine no machine: the equations are singular")
     shared = slice(0, whole.layout.constant(0))

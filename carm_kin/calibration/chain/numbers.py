@@ -116,7 +116,7 @@ def not_identifiable(
         f"{owner} ({', '.join(directions)}): {_reason(owner, list(others))}"
         for owner, (directions, others) in together.items()
     ]
-    return (*found, *([f"{', '.join(still)}: at rest in all poses"] if still else []))
+    return (*found, *([f"{', '.join(still)}: at rest or hardly moved in all poses"] if still else []))
 
 
 def _reason(owner: str, others: list[str]) -> str:

@@ -145,8 +145,8 @@ def test_a_wrong_unit_is_named_by_its_direction(factor, words):
 
 
 def test_a_length_that_no_c_arm_has_is_a_misfit():
-    arc = np.linspace(-2, 2, 40)
-    given = problem(machine(3), sweeps_deg((-2, 0, 2), arc, (-2, 0, 2), arc), 1e-6, 1e-5)
+    arc = np.linspace(-3, 3, 40)
+    given = problem(machine(3), sweeps_deg((-3, 0, 3), arc, (-3, 0, 3), arc), 1e-6, 1e-5)
     huge = replace(given, p_world_sensor=1e3 * given.p_world_sensor)
     assert np.ptp(huge.p_world_sensor, axis=0).max() < 100
     verdict = assess(huge, kinematic.solve(huge))
