@@ -144,7 +144,7 @@ def _compose(
     epsilon = -np.einsum("...si,...i->...s", y, n)
     if fixed:
         epsilon = np.zeros_like(epsilon)
-    z = unit(np.cross(n[..., None, :], y))
+    z = unit(np.asarray(np.cross(n[..., None, :], y), dtype=float))
     along = np.einsum("...si,...si->...s", on_axis[..., None, :] - c_c, y)
     w = weight[orbital]
     foot = (height - epsilon * along) / np.maximum(1 - epsilon**2, PARALLEL)
@@ -160,7 +160,7 @@ def _common_direction(v: Array, weight: Array) -> Array:
 
 def _average_offset(R_ws: Array, p: Array, c: Array, n: Array, a: Array, R: Array) -> Array:
     """Step 5 for poses (M, ...) and any number of hypotheses (..., 3)."""
-    z = unit(np.cross(n[..., None, :], np.einsum("mij,...j->...mi", R_ws, a)))
+    z = unit(np.asarray(np.cross(n[..., None, :], np.einsum("mij,...j->...mi", R_ws, a)), dtype=float))
     pivot = c[..., None, :] + R[..., None, None] * z
     return np.einsum("mji,...mj->...i", R_ws, pivot - p) / len(p)
 

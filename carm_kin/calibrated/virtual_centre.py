@@ -151,7 +151,7 @@ def _found(
         return _at(blank, scan, torus, point.least, spread)
     excess = float(np.sqrt(point.chi2 / point.dof)) if moves else 1.0
     errors = _sigma(T_world_carm, torus, point, covariance, excess)
-    worst = float(np.linalg.eigvalsh(excess**2 * point.C_v)[-1] ** 0.5)
+    worst = float(max(np.linalg.eigvalsh(excess**2 * point.C_v)[-1], 0.0) ** 0.5)
     if worst > MAX_SIGMA_M:
         turn = np.degrees(_turn(T_world_carm))
         message = f"the scan turns by {turn:.2g} deg, which leaves the centre uncertain by {worst * 1e3:.2g} mm"
@@ -221,7 +221,7 @@ def _sigma(
     C_world = excess**2 * point.C_c + C_t[1, 1] * np.outer(y, y)
     C_sensor = R_sc @ (C_v + along) @ R_sc.T
     carm, sensor, world = (np.sqrt(np.maximum(np.diagonal(C), 0.0)) for C in (C_carm, C_sensor, C_world))
-    return CentreSigma(carm, sensor, world, float(np.sqrt(u @ C_carm @ u)))
+    return CentreSigma(carm, sensor, world, float(np.sqrt(max(u @ C_carm @ u, 0.0))))
 
 
 def _moves(spread: Spread, excess: float) -> Note:

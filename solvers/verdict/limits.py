@@ -58,7 +58,7 @@ def least_arc(sigma_r: float, limits: Limits) -> float:
 
 
 def uncertain(covariance: Covariance, limits: Limits) -> Note | None:
-    worst = float(np.sqrt(np.linalg.eigvalsh(covariance.block("offset"))[-1]))
+    worst = float(np.sqrt(max(np.linalg.eigvalsh(covariance.block("offset"))[-1], 0.0)))
     if worst <= limits.max_offset_sigma_m:
         return None
     so_far = f"uncertain by {worst * 1e3:.0f} mm (one sigma)" if worst < A_MACHINE_M else "not determined"
