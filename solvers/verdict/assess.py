@@ -21,7 +21,9 @@ from solvers.verdict.bump import bump_of
 from solvers.verdict.diagnose import LABELS, base_moved_at, causes_of
 from solvers.verdict.limits import Limits, misfit, uncertain
 from solvers.verdict.observability import AMBIGUOUS, in_words, joints_at_rest, thickness, turns_about_one_axis
+from solvers.verdict.rejected import doubtful
 from solvers.verdict.residuals import neighbour_correlation, residual_notes
+from solvers.verdict.two_sensors import two_sensors_of
 
 __all__ = ["Assessment", "Limits", "assess"]
 
@@ -87,9 +89,13 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         _misfits(part, sigma, chi2_per_dof, still, limits)
         or _too_long(torus, limits)
         or _too_many_rejected(used, moved_at, limits)
+        or doubtful(problem, used)
         or _undetermined(covariance, unobservable, limits)
     )
     open_question = refusal is None or (refusal.code == "misfit" and moved_at is None)
+    if open_question and not causes:
+        another = two_sensors_of(part, torus, angles, sigma, line, np.flatnonzero(used))
+        causes = (another,) if another else ()
     bump = bump_of(problem, estimate, angles, sigma, line) if open_question and not causes else None
     moved, moved_at = ((bump.note,), None) if bump else ((), moved_at)
     causes = moved if bump and bump.harmful else causes
