@@ -23,6 +23,7 @@ from solvers.verdict.limits import Limits, misfit, uncertain
 from solvers.verdict.observability import AMBIGUOUS, in_words, joints_at_rest, thickness, turns_about_one_axis
 from solvers.verdict.rejected import doubtful
 from solvers.verdict.residuals import neighbour_correlation, residual_notes
+from solvers.verdict.several_moves import several_moves_of
 from solvers.verdict.two_sensors import two_sensors_of
 
 __all__ = ["Assessment", "Limits", "assess"]
@@ -97,6 +98,9 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         another = two_sensors_of(part, torus, angles, sigma, line, np.flatnonzero(used))
         causes = (another,) if another else ()
     bump = bump_of(problem, estimate, angles, sigma, line) if open_question and not causes else None
+    if open_question and not causes and not bump:
+        moves = several_moves_of(problem, estimate)
+        causes = (moves,) if moves else ()
     moved, moved_at = ((bump.note,), None) if bump else ((), moved_at)
     causes = moved if bump and bump.harmful else causes
     fitted = estimate.covariance is not None and not refusal and not causes

@@ -4,8 +4,6 @@ Which poses is either known, as those of a placement, or not, as with two tools 
 into two groups a constant displacement of the sensor apart.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from solvers.estimate import Note
@@ -13,40 +11,27 @@ from solvers.likelihood.linearise import Linearisation
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
-from solvers.verdict.change import FREEDOM, SENSOR, UNSEEN, rows_of
-from solvers.verdict.f_test import f_tail
+from solvers.verdict.change import BASE, SENSOR, rows_of
+from solvers.verdict.displaced import Nuisance
 
 LEAST_POSES = 12
 """Fewest poses of a group."""
-LEAST_GAP = 5.0
+LEAST_GAP = 4.5
 """Standard deviations between the two groups. A sag or a play that sways with an angle splits into groups at most 4.1 of
 their own apart, as the halves of a sine do."""
 FALSE_ALARM = 1e-6
 """Probability of naming a sensor of its own where there is none, under independent noise."""
+EDGES = 49
+"""Poses between which a stretch is looked for."""
+VISIBLE = 0.5
+"""Least displacement of a stretch's poses, in standard deviations of one pose, root mean square: less is a wander."""
+BETTER = 10.0
+"""By how much more a sensor elsewhere must lower the weighted sum of squares than a base elsewhere."""
+RARE = 1e-5
+"""The same between placements, which are known."""
 STARTS = 6
 ITERATIONS = 60
 SETTLED = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class Displacement:
-    """Of the sensor, at some of the poses."""
-
-    delta: Array
-    """(6,) shift and turn [v, w] in the carm frame, m and rad; 0 where it is not seen."""
-    probability: float
-    """That noise alone lowers the sum of squares as much."""
-    lowered: float
-    """By how much the weighted sum of squares falls."""
-
-    def in_words(self, torus: Torus) -> str:
-        """Its size at the sensor. The turn about the orbital axis is not seen: the least shift is told."""
-        p = np.linalg.solve(torus.T_sensor_carm[:3, :3], -torus.T_sensor_carm[:3, 3])
-        v, w = self.delta[:3], self.delta[3:]
-        about_axis = np.cross([0.0, 1.0, 0.0], p)
-        shift = v + np.cross(w, p)
-        shift = shift - about_axis * (shift @ about_axis) / max(about_axis @ about_axis, 1e-12)
-        return f"{np.linalg.norm(shift) * 1e3:.1f} mm and {np.degrees(np.linalg.norm(w[[0, 2]])):.2f} deg"
 
 
 def two_sensors_of(
@@ -59,63 +44,55 @@ def two_sensors_of(
     rows = rows_of(line, angles, problem, sigma, flex=False)
     apart = _groups(rows)
     if apart is not None:
-        found = displaced(rows, problem, apart)
+        found = Nuisance.of(rows, problem).displaced(apart)
         few = apart if apart.mean() <= 0.5 else ~apart
-        if found.probability < FALSE_ALARM:
+        if found.probability() < FALSE_ALARM:
             return Note(
                 "two_sensors",
-                f"{few.sum()} of {len(few)} poses are of a sensor {found.in_words(torus)} beside that of the others "
-                f"(poses {_listed(numbers[few])}): two tools under one name, or one that slips to and fro; keep one",
+                f"{few.sum()} of {len(few)} poses are of a sensor {found.of_sensor_in_words(torus)} beside that of the "
+                f"others (poses {_listed(numbers[few])}): two tools under one name, or one that slips to and fro; keep "
+                "one",
             )
-    return _between_placements(rows_of(line, angles, problem, sigma, flex=True), problem, torus)
+    bent = Nuisance.of(rows_of(line, angles, problem, sigma, flex=True), problem)
+    return _between_placements(bent, torus) or _for_a_stretch(bent, torus, numbers)
 
 
-def _between_placements(rows: Array, problem: Problem, torus: Torus) -> Note | None:
+def _between_placements(nuisance: Nuisance, torus: Torus) -> Note | None:
     """The placement whose sensor stands most clearly elsewhere, no function of the angles explaining it."""
-    if problem.placements < 2:
+    placement, count = nuisance.problem.placement, nuisance.problem.placements
+    if count < 2:
         return None
-    tests = [displaced(rows, problem, problem.placement == p) for p in range(problem.placements)]
-    p = int(np.argmin([test.probability for test in tests]))
-    if tests[p].probability * problem.placements > FALSE_ALARM:
+    tests = [nuisance.displaced(placement == p) for p in range(count)]
+    p = int(np.argmax([test.lowered for test in tests]))
+    if count * tests[p].probability(nuisance.correlation_time(placement == p, tests[p])) > RARE:
         return None
-    first = int(np.flatnonzero(problem.placement == p)[0])
     return Note(
         "sensor_moved",
-        f"the sensor seems to have been moved on the C by about {tests[p].in_words(torus)} between placements: that of "
-        f"placement {p + 1}, from its pose {first} on, stands elsewhere than at the others; calibrate each by itself",
+        f"the sensor seems to have been moved on the C by about {tests[p].of_sensor_in_words(torus)} between placements: "
+        f"that of placement {p + 1} stands elsewhere than at the others; calibrate each by itself",
     )
 
 
-def displaced(rows: Array, problem: Problem, poses: np.ndarray) -> Displacement:
-    """The test of a displacement of the sensor at the ``poses`` (n,), a mask, with all unknowns of the machine as
-    nuisance; ``rows`` (6, C, n) are those of `solvers.verdict.change.rows_of`."""
-    P, width = problem.placements, rows.shape[1] - 1
-    size = 6 * P + width - 6
-    own = np.concatenate([rows[:, SENSOR] * poses, rows[:, -1:]], axis=1)
-    H, D, E = np.zeros((size, size)), np.zeros((size, 7)), np.einsum("rin,rkn->ik", own, own)
-    for p in range(P):
-        here = problem.placement == p
-        index = np.concatenate([6 * p + np.arange(6), 6 * P + np.arange(width - 6)])
-        U = rows[:, :-1, here]
-        H[np.ix_(index, index)] += np.einsum("rin,rkn->ik", U, U)
-        D[index] += np.einsum("rin,rkn->ik", U, own[..., here])
-    scale = 1 / np.sqrt(np.maximum(np.diagonal(H), 1e-300))
-    values, vectors = np.linalg.eigh(H * np.outer(scale, scale))
-    kept = values > 1e-12 * values[-1]
-    V = (scale[:, None] * vectors[:, kept]) / np.sqrt(values[kept])
-    S = E - (V.T @ D).T @ (V.T @ D)
-    diagonal = np.diagonal(E)[:6]
-    unit = 1 / np.sqrt(np.where(diagonal > 1e-9 * diagonal.max(), diagonal, np.inf))
-    values, vectors = np.linalg.eigh(S[:6, :6] * np.outer(unit, unit))
-    seen = values > UNSEEN
-    z = (vectors.T @ (S[:6, 6] * unit))[seen]
-    delta = -unit * (vectors[:, seen] @ (z / values[seen]))
-    lowered, rank = float((z**2 / values[seen]).sum()), int(seen.sum())
-    dof = FREEDOM * len(problem) - int(kept.sum()) - rank
-    if not rank or dof <= 0:
-        return Displacement(delta, 1.0, 0.0)
-    F = lowered / rank / max((float(S[6, 6]) - lowered) / dof, 1e-3)
-    return Displacement(delta, f_tail(rank, dof, F), lowered)
+def _for_a_stretch(nuisance: Nuisance, torus: Torus, numbers: np.ndarray) -> Note | None:
+    """A stretch of poses in whose course the sensor stood elsewhere, by half the noise of a pose or more.
+
+    A displacement of the base there, or a change of the base for good, must explain it worse.
+    """
+    n = len(nuisance.problem)
+    edges = np.unique(np.linspace(0, n, min(EDGES, n // LEAST_POSES + 1)).astype(int))
+    first, last, found = nuisance.stretch(edges)
+    # the stretch and the rest change roles where it is the greater part
+    size = min(last - first, n - (last - first))
+    here = (np.arange(n) >= first) & (np.arange(n) < last)
+    if found.lowered < size * VISIBLE**2 or found.probability(nuisance.correlation_time(here, found)) > FALSE_ALARM:
+        return None
+    if nuisance.stretch(edges, BASE)[2].lowered + BETTER > found.lowered:
+        return None
+    return Note(
+        "sensor_moved",
+        f"the sensor seems to stand {found.of_sensor_in_words(torus)} elsewhere on the C at about poses {numbers[first]} "
+        f"to {numbers[last - 1]} than at the others; calibrate each part by itself",
+    )
 
 
 def _groups(rows: Array) -> np.ndarray | None:
@@ -140,8 +117,9 @@ def _groups(rows: Array) -> np.ndarray | None:
             between, rest = D @ (b - a), y - D @ a
             new = np.einsum("nr,nr->n", between, rest - 0.5 * between) > 0
             if (new == second).all():
-                along = np.einsum("nr,nr->n", between, rest) / np.maximum((between**2).sum(axis=1), 1e-12)
-                spread = float(np.sqrt(np.mean((along - second) ** 2)))
+                length2 = np.maximum((between**2).sum(axis=1), 1e-12)
+                along = np.einsum("nr,nr->n", between, rest) / length2
+                spread = float(np.sqrt(np.average((along - second) ** 2, weights=length2)))
                 if best is None or spread < best[0]:
                     best = spread, second
                 break
