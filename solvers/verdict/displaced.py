@@ -76,6 +76,11 @@ class Nuisance:
         kept = values > 1e-12 * values[-1]
         return Nuisance(rows, problem, scale[:, None] * vectors[:, kept] / np.sqrt(values[kept]))
 
+    def besides(self, poses: np.ndarray) -> "Nuisance":
+        """The same with a displacement of the sensor at the ``poses`` (n,) as one more nuisance."""
+        own = self.rows[:, SENSOR] * poses
+        return Nuisance.of(np.concatenate([self.rows[:, :-1], own, self.rows[:, -1:]], axis=1), self.problem)
+
     def displaced(self, poses: np.ndarray, of: slice = SENSOR) -> Displacement:
         """The most likely displacement at the ``poses`` (n,), a mask."""
         edges = np.array([0, len(poses)])

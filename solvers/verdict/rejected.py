@@ -54,7 +54,7 @@ def _in_blocks(used: np.ndarray) -> Note | None:
     spans = ", ".join(f"{a} to {b - 1}" for a, b in list(zip(starts[long], ends[long], strict=True))[:3])
     more = f" and {long.sum() - 3} more stretches" if long.sum() > 3 else ""
     return Note(
-        "rejected_blocks",
+        "misfit",
         f"{within / len(used):.0%} of the poses disagree with the others in long stretches (poses {spans}{more}): another "
         "tool, another place of the base or of the sensor; take them out, or give each place of the base a 'placement'",
     )

@@ -16,7 +16,7 @@ from solvers.verdict.displaced import Nuisance
 
 LEAST_POSES = 12
 """Fewest poses of a group."""
-LEAST_GAP = 4.5
+LEAST_GAP = 4.2
 """Standard deviations between the two groups. A sag or a play that sways with an angle splits into groups at most 4.1 of
 their own apart, as the halves of a sine do."""
 FALSE_ALARM = 1e-6
@@ -27,6 +27,8 @@ VISIBLE = 0.5
 """Least displacement of a stretch's poses, in standard deviations of one pose, root mean square: less is a wander."""
 BETTER = 10.0
 """By how much more a sensor elsewhere must lower the weighted sum of squares than a base elsewhere."""
+QUIET = 1e-3
+"""Nothing is left if noise alone makes another stretch with this probability."""
 RARE = 1e-5
 """The same between placements, which are known."""
 STARTS = 6
@@ -76,7 +78,8 @@ def _between_placements(nuisance: Nuisance, torus: Torus) -> Note | None:
 def _for_a_stretch(nuisance: Nuisance, torus: Torus, numbers: np.ndarray) -> Note | None:
     """A stretch of poses in whose course the sensor stood elsewhere, by half the noise of a pose or more.
 
-    A displacement of the base there, or a change of the base for good, must explain it worse.
+    A displacement of the base there must explain it worse, and no other stretch be left: a machine that bends or has play
+    leaves one at every step.
     """
     n = len(nuisance.problem)
     edges = np.unique(np.linspace(0, n, min(EDGES, n // LEAST_POSES + 1)).astype(int))
@@ -87,6 +90,8 @@ def _for_a_stretch(nuisance: Nuisance, torus: Torus, numbers: np.ndarray) -> Not
     if found.lowered < size * VISIBLE**2 or found.probability(nuisance.correlation_time(here, found)) > FALSE_ALARM:
         return None
     if nuisance.stretch(edges, BASE)[2].lowered + BETTER > found.lowered:
+        return None
+    if nuisance.besides(here).stretch(edges)[2].probability() < QUIET:
         return None
     return Note(
         "sensor_moved",
@@ -119,7 +124,8 @@ def _groups(rows: Array) -> np.ndarray | None:
             if (new == second).all():
                 length2 = np.maximum((between**2).sum(axis=1), 1e-12)
                 along = np.einsum("nr,nr->n", between, rest) / length2
-                spread = float(np.sqrt(np.average((along - second) ** 2, weights=length2)))
+                off = (along - second) ** 2
+                spread = float(np.sqrt(max(off.mean(), np.average(off, weights=length2))))
                 if best is None or spread < best[0]:
                     best = spread, second
                 break
