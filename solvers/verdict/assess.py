@@ -90,17 +90,15 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         _misfits(part, sigma, chi2_per_dof, still, limits)
         or _too_long(torus, limits)
         or _too_many_rejected(used, moved_at, limits)
-        or doubtful(problem, used)
+        or (doubtful(problem, used) if moved_at is None else None)
         or _undetermined(covariance, unobservable, limits)
     )
     open_question = refusal is None or (refusal.code == "misfit" and moved_at is None)
-    if open_question and not causes:
-        another = two_sensors_of(part, torus, angles, sigma, line, np.flatnonzero(used))
-        causes = (another,) if another else ()
     bump = bump_of(problem, estimate, angles, sigma, line) if open_question and not causes else None
     if open_question and not causes and not bump:
-        moves = several_moves_of(problem, estimate)
-        causes = (moves,) if moves else ()
+        another = two_sensors_of(part, torus, angles, sigma, line, np.flatnonzero(used))
+        another = another or several_moves_of(problem, estimate)
+        causes = (another,) if another else ()
     moved, moved_at = ((bump.note,), None) if bump else ((), moved_at)
     causes = moved if bump and bump.harmful else causes
     fitted = estimate.covariance is not None and not refusal and not causes

@@ -27,7 +27,7 @@ class Limits:
     """Largest share of poses that may be rejected."""
     silent_rejected_share: float = 0.02
     """Share of rejected poses from which on a warning says so."""
-    max_moved_share: float = 0.3
+    max_moved_share: float = 0.2
     """Largest share of poses that may belong to another place of the base."""
     min_spread_sigmas: float = 4.0
     """A joint moves if its angle spreads by more than so many standard deviations of one pose."""

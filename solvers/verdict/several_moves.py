@@ -16,14 +16,14 @@ from solvers.se3 import exp_se3
 from solvers.torus import Torus
 from solvers.verdict.change import Change, most_likely, rows_of
 
-MOST_MOVES = 8
+MOST_MOVES = 5
 FALSE_ALARM = 1e-6
 """Probability of a change where there is none, under independent noise, at which the search begins,"""
 QUIET = 1e-3
 """and that at which it ends."""
 QUIETER = 1.3
 """Ratio of the noise of positions or orientations before and after, from which on moves are told."""
-TRIED = 1500
+TRIED = 800
 """Poses on which it is looked for."""
 
 

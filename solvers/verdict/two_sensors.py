@@ -19,6 +19,9 @@ LEAST_POSES = 12
 LEAST_GAP = 4.2
 """Standard deviations between the two groups. A sag or a play that sways with an angle splits into groups at most 4.1 of
 their own apart, as the halves of a sine do."""
+FAR_LESS = 1.6
+"""Ratio of the sums of squares without and with two sensors, from which on groups that take turns are told, however near:
+two groups made of noise have 1.2, since they part one of its four directions, by 64%."""
 FALSE_ALARM = 1e-6
 """Probability of naming a sensor of its own where there is none, under independent noise."""
 EDGES = 49
@@ -44,11 +47,13 @@ def two_sensors_of(
     if len(problem) < 2 * LEAST_POSES:
         return None
     rows = rows_of(line, angles, problem, sigma, flex=False)
-    apart = _groups(rows)
-    if apart is not None:
+    groups = _groups(rows)
+    if groups is not None:
+        spread, apart = groups
         found = Nuisance.of(rows, problem).displaced(apart)
         few = apart if apart.mean() <= 0.5 else ~apart
-        if found.probability() < FALSE_ALARM:
+        by_turns = _alternates(apart) and found.lowered > (FAR_LESS - 1) * found.left
+        if (spread * LEAST_GAP <= 1 or by_turns) and found.probability() < FALSE_ALARM:
             return Note(
                 "two_sensors",
                 f"{few.sum()} of {len(few)} poses are of a sensor {found.of_sensor_in_words(torus)} beside that of the "
@@ -100,8 +105,8 @@ def _for_a_stretch(nuisance: Nuisance, torus: Torus, numbers: np.ndarray) -> Not
     )
 
 
-def _groups(rows: Array) -> np.ndarray | None:
-    """(n,) the poses of one of two groups of residuals, where these are at least `LEAST_GAP` apart.
+def _groups(rows: Array) -> tuple[float, np.ndarray] | None:
+    """The two groups of residuals that lie farthest apart: their spread over the gap, and the poses (n,) of one.
 
     Two constant displacements by turns: assign each pose to the nearer one, fit each to its poses. Along the line
     between them a pose's residual is at 0 or 1, and the spread about these is the measure of the gap.
@@ -130,7 +135,13 @@ def _groups(rows: Array) -> np.ndarray | None:
                     best = spread, second
                 break
             second = new
-    return best[1] if best and best[0] * LEAST_GAP <= 1 else None
+    return best
+
+
+def _alternates(second: np.ndarray) -> bool:
+    """Whether the groups (n,) take turns half as often as by chance, as no function of time or of an angle does."""
+    share = second.mean()
+    return bool((second[1:] != second[:-1]).mean() > share * (1 - share))
 
 
 def _fit(H: Array, g: Array) -> Array:
