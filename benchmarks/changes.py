@@ -88,7 +88,9 @@ def ten_times_over_shuffled(scene: Scene, rng: np.random.Generator) -> Take:
     return replace(scene.take.select(rng.permutation(np.tile(np.arange(len(scene.take)), 10))), time_s=None)
 
 
-def _remounted(take: Take, poses: Array, shift_m: float, turn_rad: float, rng: np.random.Generator) -> tuple[Take, Array]:
+def _remounted(
+    take: Take, poses: Array, shift_m: float, turn_rad: float, rng: np.random.Generator
+) -> tuple[Take, Array]:
     """The ``poses`` by a sensor elsewhere, and the new sensor in the old one (3, 4)."""
     turn, shift = rotation(turn_rad * unit(rng)), shift_m * unit(rng)
     p, R = take.p.copy(), take.R.copy()

@@ -1,8 +1,8 @@
 """A C-arm moved by hand before a tracker, by NumPy alone: nothing here is shared with the estimators.
 
-The pose of the sensor is ``T_tracker_torus Rx(alpha) Tz(R) Rz(epsilon) Ry(beta) exp(xi) T_carm_sensor``; ``xi`` is what a
-machine that bends or has play adds. Five orbital sweeps of 115 deg and three angular ones, in alternate directions,
-simulated at 60 frames a second.
+The pose of the sensor is ``T_tracker_torus Rx(alpha) Tz(R) Rz(epsilon) Ry(beta) exp(xi) T_carm_sensor``; ``xi`` is
+what a machine that bends or has play adds. Five orbital sweeps of 115 deg and three angular ones, in alternate
+directions, simulated at 60 frames a second.
 """
 
 from dataclasses import dataclass

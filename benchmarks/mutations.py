@@ -37,7 +37,8 @@ HEADER = ("change", "ok, silent", "ok, warned", "refused", "error mm", "error / 
 def row_of(mutation: Mutation, found: list[Outcome]) -> list[str]:
     """A row of the table."""
     good = [o for o in found if o.accepted]
-    said = ", ".join(f"{code} {count}" for code, count in Counter(c for o in found for c in set(o.codes)).most_common(3))
+    counts = Counter(code for o in found for code in set(o.codes))
+    said = ", ".join(f"{code} {count}" for code, count in counts.most_common(3))
     silent = sum(not o.codes for o in good)
     return [
         mutation.name + (" (*)" if mutation.hidden else ""),
@@ -52,10 +53,10 @@ def row_of(mutation: Mutation, found: list[Outcome]) -> list[str]:
 
 
 NOTES = f"""Sweeps moved by hand as in the section on realism, {RATE:g} frames a second, {SIGMA_T * 1e3:.1f} mm and
-{np.degrees(SIGMA_R):.2f} deg of white noise, exact labels of the held joints. Numbers of runs; silent: no warning but on
-the zeros of the angles. Error and its ratio to the stated standard deviation, the worst component: medians over the
-accepted runs, against the nearest of the right offsets where a sensor was re-seated. Wrong ok: accepted with a component
-off by more than {WRONG:.0f} standard deviations, whatever was warned of."""
+{np.degrees(SIGMA_R):.2f} deg of white noise, exact labels of the held joints. Numbers of runs; silent: no warning but
+on the zeros of the angles. Error and its ratio to the stated standard deviation, the worst component: medians over
+the accepted runs, against the nearest of the right offsets where a sensor was re-seated. Wrong ok: accepted with a
+component off by more than {WRONG:.0f} standard deviations, whatever was warned of."""
 
 
 def summary(found: dict[str, list[Outcome]]) -> str:

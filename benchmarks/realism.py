@@ -215,7 +215,8 @@ HEADER = ("effect", "accepted", "rms error mm", "error / sigma", "cover offset",
 def row_of(name: str, found: list[Outcome]) -> list[str]:
     """A row of the table."""
     good = [o for o in found if o.accepted]
-    said = ", ".join(f"{code} {count}" for code, count in Counter(c for o in found for c in set(o.codes)).most_common(4))
+    counts = Counter(code for o in found for code in set(o.codes))
+    said = ", ".join(f"{code} {count}" for code, count in counts.most_common(4))
     if not good:
         return [name, f"0 of {len(found)}", "-", "-", "-", "-", "0", said]
     ratios = np.array([o.ratio for o in good])
@@ -231,13 +232,14 @@ def row_of(name: str, found: list[Outcome]) -> list[str]:
     ]
 
 
-NOTES = f"""Simulated by `benchmarks/hand_moved.py`, which shares nothing with the estimators: five orbital sweeps of 115 deg and
-three angular ones moved by hand, {RATE_HZ:.0f} frames a second of which every second is fitted, sweeps declared, no labels but
-where said; {SIGMA_T * 1e3:.1f} mm and {np.degrees(SIGMA_R):.2f} deg of noise. Sag and play are of the machine, the truth is that
-of a sag of mean zero over the joints' ranges. Error / sigma: root mean square over the components of the offset.
-Coverage: share of components (of R) within 1.96 stated standard deviations; three components of a run are not
-independent, so that its own standard error is about 3 points with 60 seeds. Wrong ok: accepted runs with a component off
-by more than {WRONG:.0f} standard deviations. All but "said" over the accepted runs."""
+NOTES = f"""Simulated by `benchmarks/hand_moved.py`, which shares nothing with the estimators: five orbital sweeps of
+115 deg and three angular ones moved by hand, {RATE_HZ:.0f} frames a second of which every second is fitted, sweeps
+declared, no labels but where said; {SIGMA_T * 1e3:.1f} mm and {np.degrees(SIGMA_R):.2f} deg of noise. Sag and play
+are of the machine, the truth is that of a sag of mean zero over the joints' ranges. Error / sigma: root mean square
+over the components of the offset. Coverage: share of components (of R) within 1.96 stated standard deviations; three
+components of a run are not independent, so that its own standard error is about 3 points with 60 seeds. Wrong ok:
+accepted runs with a component off by more than {WRONG:.0f} standard deviations. All but "said" over the accepted
+runs."""
 
 
 def main() -> None:

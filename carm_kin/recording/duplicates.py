@@ -1,7 +1,8 @@
 """Poses that are no measurements of their own: copies of earlier ones, and positions that stand still.
 
-No tracker with noise gives the same numbers twice. A single pose may come again in data without noise or of coarse steps;
-what counts as a copy is a stretch that comes again, a pose that comes three times, or a large share of the poses.
+No tracker with noise gives the same numbers twice. A single pose may come again in data without noise or of coarse
+steps; what counts as a copy is a stretch that comes again, a pose that comes three times, or a large share of the
+poses.
 """
 
 from collections.abc import Mapping
@@ -52,7 +53,9 @@ class NotMeasured:
         n = len(self.any_of)
         found = []
         if copies := int(self.reasons[COPIED].sum()):
-            message = f"{copies} of {n} poses are copies of earlier ones, as if a part was pasted twice; each counts once"
+            message = (
+                f"{copies} of {n} poses are copies of earlier ones, as if a part was pasted twice; each counts once"
+            )
             found.append(Note("copied_poses", message))
         if still := int(self.reasons[STANDING].sum()):
             message = (
@@ -69,7 +72,9 @@ def copied(p_world_sensor: Array, R_world_sensor: Array | None) -> np.ndarray:
     shared = _groups(p_world_sensor) >= 0
     first = np.arange(n)
     members = np.flatnonzero(shared)
-    whole = p_world_sensor if R_world_sensor is None else np.column_stack([p_world_sensor, R_world_sensor.reshape(n, 9)])
+    whole = (
+        p_world_sensor if R_world_sensor is None else np.column_stack([p_world_sensor, R_world_sensor.reshape(n, 9)])
+    )
     group = _groups(whole[members])
     for g in range(group.max(initial=-1) + 1):
         same = members[group == g]

@@ -1,6 +1,7 @@
-"""The score test of a displacement of base or sensor at a given part of the poses: docs/estimation.md, "Two sensors"."""
+"""The score test of a displacement of base or sensor at a part of the poses: docs/estimation.md, "Two sensors"."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -113,7 +114,7 @@ class Nuisance:
         own = np.concatenate([U[:, of], U[:, -1:]], axis=1)
         size = len(self.V)
         D, E = np.zeros((len(edges), size, 7)), np.zeros((len(edges), 7, 7))
-        for k, (a, b) in enumerate(zip(edges[:-1], edges[1:], strict=True)):
+        for k, (a, b) in enumerate(pairwise(edges)):
             E[k + 1] = np.einsum("rin,rkn->ik", own[..., a:b], own[..., a:b])
             for p in np.unique(self.problem.placement[a:b]):
                 here = a + np.flatnonzero(self.problem.placement[a:b] == p)
@@ -130,9 +131,7 @@ class Nuisance:
             found[_columns(p, self.problem, len(found))] += own
         return found
 
-    def _best(
-        self, sums: tuple[Array, Array, Array], first: np.ndarray, last: np.ndarray
-    ) -> tuple[int, Displacement]:
+    def _best(self, sums: tuple[Array, Array, Array], first: np.ndarray, last: np.ndarray) -> tuple[int, Displacement]:
         D, E, g = sums[0][last] - sums[0][first], sums[1][last] - sums[1][first], sums[2]
         D = D[..., :6]
         S = E[:, :6, :6] - D.swapaxes(1, 2) @ D

@@ -1,8 +1,9 @@
 """Positions of which a part is in another unit, told by their size alone.
 
-A pose is a function of two angles, so that poses of nearly the same orientation have nearly the same position. Where the
-distances from the tracker fall into two groups, and those of the nearest orientations differ by a power of ten, a part of
-the file was written in another unit. A fit would take the smaller group, whose residuals are smaller by the same factor.
+A pose is a function of two angles, so that poses of nearly the same orientation have nearly the same position. Where
+the distances from the tracker fall into two groups, and those of the nearest orientations differ by a power of ten, a
+part of the file was written in another unit. A fit would take the smaller group, whose residuals are smaller by the
+same factor.
 """
 
 import numpy as np

@@ -32,9 +32,9 @@ def _at_rest(problem: Problem, used: np.ndarray) -> Note | None:
     poses = np.flatnonzero(used)
     return Note(
         "position_at_rest",
-        f"the {len(poses)} poses that agree, from pose {poses[0]} to {poses[-1]}, stand within {span * 1e3:.2g} mm while "
-        f"the sensor turns, and the other {share:.0%} do not fit them: the tracker seems to have held the position "
-        "there, or written it in another unit; take these poses out",
+        f"the {len(poses)} poses that agree, from pose {poses[0]} to {poses[-1]}, stand within {span * 1e3:.2g} mm "
+        f"while the sensor turns, and the other {share:.0%} do not fit them: the tracker seems to have held the "
+        "position there, or written it in another unit; take these poses out",
     )
 
 
@@ -55,6 +55,7 @@ def _in_blocks(used: np.ndarray) -> Note | None:
     more = f" and {long.sum() - 3} more stretches" if long.sum() > 3 else ""
     return Note(
         "misfit",
-        f"{within / len(used):.0%} of the poses disagree with the others in long stretches (poses {spans}{more}): another "
-        "tool, another place of the base or of the sensor; take them out, or give each place of the base a 'placement'",
+        f"{within / len(used):.0%} of the poses disagree with the others in long stretches (poses {spans}{more}): "
+        "another tool, another place of the base or of the sensor; take them out, or give each place of the base a "
+        "'placement'",
     )

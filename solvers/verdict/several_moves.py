@@ -1,7 +1,7 @@
 """Whether the base was moved several times in a recording: docs/estimation.md, "Two sensors".
 
-One move after the other is given a placement of its own, each at the most likely pose, until none is left. Noise that is
-correlated and a machine that bends leave some at every step; only moves come to an end, and leave far less noise.
+One move after the other is given a placement of its own, each at the most likely pose, until none is left. Noise that
+is correlated and a machine that bends leave some at every step; only moves come to an end, and leave far less noise.
 """
 
 from dataclasses import replace
@@ -47,14 +47,16 @@ def several_moves_of(problem: Problem, estimate: Estimate) -> Note | None:
         part, torus = _divided(part, torus, change)
     else:
         return None
-    gain = max((a or 0.0) / max(b or 0.0, 1e-9) for a, b in ((first.sigma_t, fit.sigma_t), (first.sigma_r, fit.sigma_r)))
+    gain = max(
+        (a or 0.0) / max(b or 0.0, 1e-9) for a, b in ((first.sigma_t, fit.sigma_t), (first.sigma_r, fit.sigma_r))
+    )
     if len(found) < 2 or gain < QUIETER:
         return None
     at = ", ".join(str(poses[pose]) for pose in sorted(found))
     return Note(
         "base_moved",
-        f"the base seems to have been moved {len(found)} times, at about poses {at}; give each part a 'placement' of its "
-        "own",
+        f"the base seems to have been moved {len(found)} times, at about poses {at}; give each part a 'placement' of "
+        "its own",
     )
 
 
@@ -67,7 +69,8 @@ def _fitted(problem: Problem, torus: Torus) -> Estimate | None:
 
 
 def _change(problem: Problem, fit: Estimate) -> Change | None:
-    assert fit.torus is not None and fit.angles is not None
+    if fit.torus is None or fit.angles is None:
+        return None
     angles, sigma = fit.angles.T, (fit.sigma_t or 0.0, fit.sigma_r or 0.0)
     return most_likely(rows_of(linearise(fit.torus, angles, problem), angles, problem, sigma, flex=False), problem)
 

@@ -17,11 +17,11 @@ from solvers.verdict.displaced import Nuisance
 LEAST_POSES = 12
 """Fewest poses of a group."""
 LEAST_GAP = 4.2
-"""Standard deviations between the two groups. A sag or a play that sways with an angle splits into groups at most 4.1 of
-their own apart, as the halves of a sine do."""
+"""Standard deviations between the two groups. A sag or a play that sways with an angle splits into groups at most 4.1
+of their own apart, as the halves of a sine do."""
 FAR_LESS = 1.6
-"""Ratio of the sums of squares without and with two sensors, from which on groups that take turns are told, however near:
-two groups made of noise have 1.2, since they part one of its four directions, by 64%."""
+"""Ratio of the sums of squares without and with two sensors, from which on groups that take turns are told, however
+near: two groups made of noise have 1.2, since they part one of its four directions, by 64%."""
 FALSE_ALARM = 1e-6
 """Probability of naming a sensor of its own where there is none, under independent noise."""
 EDGES = 49
@@ -75,16 +75,16 @@ def _between_placements(nuisance: Nuisance, torus: Torus) -> Note | None:
         return None
     return Note(
         "sensor_moved",
-        f"the sensor seems to have been moved on the C by about {tests[p].of_sensor_in_words(torus)} between placements: "
-        f"that of placement {p + 1} stands elsewhere than at the others; calibrate each by itself",
+        f"the sensor seems to have been moved on the C by about {tests[p].of_sensor_in_words(torus)} between "
+        f"placements: that of placement {p + 1} stands elsewhere than at the others; calibrate each by itself",
     )
 
 
 def _for_a_stretch(nuisance: Nuisance, torus: Torus, numbers: np.ndarray) -> Note | None:
     """A stretch of poses in whose course the sensor stood elsewhere, by half the noise of a pose or more.
 
-    A displacement of the base there must explain it worse, and no other stretch be left: a machine that bends or has play
-    leaves one at every step.
+    A displacement of the base there must explain it worse, and no other stretch be left: a machine that bends or has
+    play leaves one at every step.
     """
     n = len(nuisance.problem)
     edges = np.unique(np.linspace(0, n, min(EDGES, n // LEAST_POSES + 1)).astype(int))
@@ -100,8 +100,8 @@ def _for_a_stretch(nuisance: Nuisance, torus: Torus, numbers: np.ndarray) -> Not
         return None
     return Note(
         "sensor_moved",
-        f"the sensor seems to stand {found.of_sensor_in_words(torus)} elsewhere on the C at about poses {numbers[first]} "
-        f"to {numbers[last - 1]} than at the others; calibrate each part by itself",
+        f"the sensor seems to stand {found.of_sensor_in_words(torus)} elsewhere on the C at about poses "
+        f"{numbers[first]} to {numbers[last - 1]} than at the others; calibrate each part by itself",
     )
 
 
