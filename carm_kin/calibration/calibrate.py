@@ -12,7 +12,7 @@ from carm_kin.calibration.options import options_of
 from carm_kin.calibration.problem import to_problem
 from carm_kin.calibration.settings import CIRCLE, options_class, solver_for
 from carm_kin.errors import InputError
-from carm_kin.recording.checks import REPEATED, repeated
+from carm_kin.recording.duplicates import NotMeasured
 from carm_kin.recording.formats import RecordingLike, as_recording
 from carm_kin.recording.recording import Recording
 from carm_kin.recording.stations import refitted
@@ -24,6 +24,7 @@ from solvers.estimate import Note
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.verdict.assess import Limits, assess
+from solvers.verdict.mixed_units import mixed_units
 
 EXTENT_M = (0.005, 100.0)
 """Positions that span less than the first while the sensor turns, or more than the second, are in a wrong unit."""
@@ -62,9 +63,10 @@ def calibrate(
     chosen = options_of(options_class(name), name, options)
     check_noise("sigma_t_m", sigma_t_m)
     check_noise("sigma_r_rad", sigma_r_rad)
-    again = repeated(recording.p_world_sensor, recording.R_world_sensor)
+    not_measured = NotMeasured.of(recording.p_world_sensor, recording.R_world_sensor)
+    again = not_measured.any_of
     if (~again).sum() < limits.min_poses:
-        again[:] = False
+        again = np.zeros(len(recording), dtype=bool)
     result = _calibrated(
         recording,
         ~again,
@@ -74,7 +76,7 @@ def calibrate(
         limits,
         provenance_of(recording, command, options.get("seed")),
     )
-    return _with_repeated(result, recording, again) if again.any() else result
+    return _with_left_out(result, recording, not_measured) if again.any() else result
 
 
 def _calibrated(
@@ -93,7 +95,11 @@ def _calibrated(
         raise InputError(f"the recording has no orientations (qw, qx, qy, qz), which '{name}' needs; use 'surface'")
     refusal = Note("too_few_poses", f"{len(problem)} poses; at least {limits.min_poses} are needed")
     if len(problem) >= limits.min_poses:
-        refusal = wrong_unit(problem.p_world_sensor, problem.R_world_sensor) or _small_placement(whole, kept)
+        refusal = (
+            wrong_unit(problem.p_world_sensor, problem.R_world_sensor)
+            or mixed_units(problem)
+            or _small_placement(whole, kept)
+        )
     if refusal:
         return refused_result(recording, name, asdict(options), refusal, provenance)
     try:
@@ -113,22 +119,28 @@ def _calibrated(
     return result_of(recording, problem, estimate, assessment, asdict(options), provenance)
 
 
-def _with_repeated(result: CalibrationResult, recording: Recording, again: np.ndarray) -> CalibrationResult:
-    """The result with the repeated poses, which had no part in it, counted and listed."""
+def _with_left_out(result: CalibrationResult, recording: Recording, not_measured: NotMeasured) -> CalibrationResult:
+    """The result with the poses that are no measurements, which had no part in it, counted and listed."""
+    again = not_measured.any_of
     numbers = tuple(int(i) for i in recording.pose_number[again])
     fitted = result.outliers.indices
-    known = Rejection(REPEATED, len(numbers), numbers)
+    known = (
+        Rejection(reason, int(poses.sum()), tuple(int(i) for i in recording.pose_number[poses]))
+        for reason, poses in not_measured.reasons.items()
+        if poses.any()
+    )
     angles = None
     if result.angles_rad is not None:
         angles = np.full((len(recording), 2), np.nan)
         angles[~again] = result.angles_rad
+    frozen = (note for note in recording.warnings if note.code == "duplicated_poses")
     return replace(
         result,
         poses=len(recording),
         outliers=Outliers(
-            len(fitted) + len(numbers), tuple(sorted((*fitted, *numbers))), (*result.outliers.reasons, known)
+            len(fitted) + len(numbers), tuple(sorted((*fitted, *numbers))), (*result.outliers.reasons, *known)
         ),
-        warnings=(*(note for note in recording.warnings if note.code == "duplicated_poses"), *result.warnings),
+        warnings=(*frozen, *not_measured.notes(), *result.warnings),
         angles_rad=angles,
     )
 

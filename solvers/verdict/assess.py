@@ -25,7 +25,10 @@ from solvers.verdict.diagnose import LABELS, base_moved_at, causes_of
 from solvers.verdict.held_out import LeftOut, left_out
 from solvers.verdict.limits import Limits, misfit, uncertain
 from solvers.verdict.observability import AMBIGUOUS, balanced, in_words, joints_at_rest, thickness, turns_about_one_axis
+from solvers.verdict.rejected import doubtful
 from solvers.verdict.residuals import neighbour_correlation, residual_notes
+from solvers.verdict.several_moves import several_moves_of
+from solvers.verdict.two_sensors import two_sensors_of
 
 __all__ = ["Assessment", "Limits", "assess"]
 
@@ -101,12 +104,17 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         _misfits(part, sigma, chi2_per_dof, still, limits)
         or _too_long(torus, limits)
         or _too_many_rejected(used, moved_at, limits)
+        or (doubtful(problem, used) if moved_at is None else None)
         or _undetermined(covariance, unobservable, limits)
     )
     open_question = refusal is None or (refusal.code == "misfit" and moved_at is None)
     if refusal and not causes and moved_at is None and (fixed := of_point.still_point_note(problem)):
         causes = (fixed,)
     bump = bump_of(problem, estimate, angles, sigma, line) if open_question and not causes else None
+    if open_question and not causes and not bump:
+        another = two_sensors_of(part, torus, angles, sigma, line, np.flatnonzero(used))
+        another = another or several_moves_of(problem, estimate)
+        causes = (another,) if another else ()
     moved, moved_at = ((bump.note,), None) if bump else ((), moved_at)
     causes = moved if bump and bump.harmful else causes
     fitted = estimate.covariance is not None and not refusal and not causes

@@ -30,7 +30,7 @@ class Limits:
     """Largest share of poses that may be rejected."""
     silent_rejected_share: float = 0.02
     """Share of rejected poses from which on a warning says so."""
-    max_moved_share: float = 0.3
+    max_moved_share: float = 0.2
     """Largest share of poses that may belong to another place of the base."""
     min_arc_rad: float = float(np.radians(5.0))
     """A joint that an unknown needs is swept by at least so much: noise, wobble and sag turn one at rest by less."""
