@@ -44,14 +44,19 @@ class Displacement:
         F = self.lowered / self.rank / max(self.left / self.dof, EXACT) / T
         return min(1.0, self.tried * f_tail(self.rank, max(self.dof / T, 1.0), F))
 
-    def of_sensor_in_words(self, torus: Torus) -> str:
-        """Its size at the sensor. The turn about the orbital axis is not seen: the least shift is told."""
+    def of_sensor(self, torus: Torus) -> tuple[float, float]:
+        """Its size at the sensor, m and rad. The turn about the orbital axis is not seen: the least shift is told."""
         p = np.linalg.solve(torus.T_sensor_carm[:3, :3], -torus.T_sensor_carm[:3, 3])
         v, w = self.delta[:3], self.delta[3:]
         about_axis = np.cross([0.0, 1.0, 0.0], p)
         shift = v + np.cross(w, p)
         shift = shift - about_axis * (shift @ about_axis) / max(about_axis @ about_axis, 1e-12)
-        return f"{np.linalg.norm(shift) * 1e3:.1f} mm and {np.degrees(np.linalg.norm(w[[0, 2]])):.2f} deg"
+        return float(np.linalg.norm(shift)), float(np.linalg.norm(w[[0, 2]]))
+
+    def of_sensor_in_words(self, torus: Torus) -> str:
+        """Its size at the sensor."""
+        shift, turn = self.of_sensor(torus)
+        return f"{shift * 1e3:.1f} mm and {np.degrees(turn):.2f} deg"
 
 
 @dataclass(frozen=True, eq=False)

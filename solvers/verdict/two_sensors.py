@@ -19,6 +19,8 @@ LEAST_POSES = 12
 LEAST_GAP = 4.2
 """Standard deviations between the two groups. A sag or a play that sways with an angle splits into groups at most 4.1
 of their own apart, as the halves of a sine do."""
+LEAST_BESIDE_M, LEAST_BESIDE_RAD = 0.5e-3, float(np.radians(0.1))
+"""No two tools are mounted nearer to each other; groups that are sway with an angle by what bends or has play."""
 FAR_LESS = 1.6
 """Ratio of the sums of squares without and with two sensors, from which on groups that take turns are told, however
 near: two groups made of noise have 1.2, since they part one of its four directions, by 64%."""
@@ -53,7 +55,9 @@ def two_sensors_of(
         found = Nuisance.of(rows, problem).displaced(apart)
         few = apart if apart.mean() <= 0.5 else ~apart
         by_turns = _alternates(apart) and found.lowered > (FAR_LESS - 1) * found.left
-        if (spread * LEAST_GAP <= 1 or by_turns) and found.probability() < FALSE_ALARM:
+        shift, turn = found.of_sensor(torus)
+        beside = shift > LEAST_BESIDE_M or turn > LEAST_BESIDE_RAD
+        if beside and (spread * LEAST_GAP <= 1 or by_turns) and found.probability() < FALSE_ALARM:
             return Note(
                 "two_sensors",
                 f"{few.sum()} of {len(few)} poses are of a sensor {found.of_sensor_in_words(torus)} beside that of the "

@@ -109,7 +109,8 @@ def test_stations_tell_how_sure_the_offset_is_where_frames_do_not():
             naive = kinematic.solve(Problem.of_poses(still.p_world_sensor, still.R_world_sensor))
             z_of_frames.append((naive.offset - OFFSET) / naive.covariance.sigma("offset_sensor_pivot_x"))
     assert np.mean(np.square(z)) == pytest.approx(1, abs=4 * 0.09)
-    assert np.mean(np.square(z_of_frames)) > 5
+    # frames of a stop share its error, which shows as noise correlated over a stop and is heeded in part
+    assert np.mean(np.square(z_of_frames)) > 1.5
 
 
 def test_a_stop_of_few_frames_counts_less():
