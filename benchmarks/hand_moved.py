@@ -29,7 +29,7 @@ def rotation(vector: Array) -> Array:
     return np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (K @ K)
 
 
-def turned(axis: int, angle: Array) -> Array:
+def turned(axis: int, angle: Array | float) -> Array:
     """(..., 3, 3) rotations about a coordinate axis."""
     return rotation(np.asarray(angle)[..., None] * np.eye(3)[axis])
 

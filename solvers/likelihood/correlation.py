@@ -123,7 +123,7 @@ def _picked(values: Array, stretches: Stretches) -> tuple[Array, np.ndarray]:
 def _summed(values: Array, number: np.ndarray, variance: float, dimension: float) -> float:
     """The sum of the correlations, 0 where it is not significant; ``variance`` is the mean square of a pose."""
     total = before = 0.0
-    significant, lag, octave = False, 0, 1
+    significant, lag, octave, pairs = False, 0, 1, 0
     while significant or lag < FIRST_OCTAVES:
         for lag in range(octave // 2 + 1, octave + 1):
             same = number[lag:] == number[:-lag]

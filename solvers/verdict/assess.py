@@ -119,7 +119,9 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
     causes = moved if bump and bump.harmful else causes
     fitted = estimate.covariance is not None and not refusal and not causes
     clean = residual_notes(angles, residual, at.redundancy[0], correlation) if fitted else ()
-    parts = left_out(torus, angles, part, sigma, active, estimate.covariance) if fitted else None
+    parts = (
+        left_out(torus, angles, part, sigma, active, estimate.covariance) if fitted and estimate.covariance else None
+    )
     return Assessment(
         angles=_spread(angles.T, used),
         position_residual=_spread(residual[:3].T, used),
