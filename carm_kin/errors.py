@@ -47,3 +47,13 @@ class RefusedError(CarmKinError):
 
     def __str__(self) -> str:
         return self.args[1]
+
+
+def printable(text: str) -> str:
+    """Control characters as escapes; line breaks stay."""
+    return "\n".join(map(on_one_line, text.split("\n")))
+
+
+def on_one_line(text: str) -> str:
+    """Control characters and line breaks as escapes."""
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

@@ -9,7 +9,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 from carm_kin.calibration.settings import Settings
-from carm_kin.errors import InputError
+from carm_kin.errors import InputError, on_one_line
 from carm_kin.files import read_toml
 from carm_kin.recording.formats import formats
 from carm_kin.typed import check_names, record, typed
@@ -82,7 +82,7 @@ def _of_path(text: str, base: Path, settings: Settings, label: str, skipped: Pat
     files = _files(text, base, skipped.resolve())
     if label and len(files) > 1:
         raise InputError(f"label '{label}' is given to {len(files)} recordings; leave it out, or list them one by one")
-    return [Entry(label, file.resolve(), _printable(file), settings) for file in files]
+    return [Entry(label, file.resolve(), on_one_line(str(file)), settings) for file in files]
 
 
 def _files(text: str, base: Path, skipped: Path) -> list[Path]:
@@ -182,7 +182,3 @@ def _check_label(label: str, whose: str) -> None:
     if not good or len(label.encode()) > MAX_LABEL_BYTES:
         rule = f"no {' '.join(FORBIDDEN)}, no dot in front, at most {MAX_LABEL_BYTES} bytes"
         raise InputError(f"label '{label}'{whose} cannot name a file: {rule}; give another in a list")
-
-
-def _printable(path: Path) -> str:
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in str(path))

@@ -9,6 +9,7 @@ from typing import Any
 
 from rich.console import Console
 
+from carm_kin.errors import printable
 from carm_kin.steps import LOG
 
 WIDE = 10_000
@@ -22,7 +23,7 @@ class _Plain(Console):
         super().__init__(stderr=stderr, quiet=quiet, width=width, highlight=False, markup=False, emoji=False)
 
     def print(self, *objects: Any, **more: Any) -> None:
-        super().print(*(_printable(x) if isinstance(x, str) else x for x in objects), **more)
+        super().print(*(printable(x) if isinstance(x, str) else x for x in objects), **more)
 
     def on_broken_pipe(self) -> None:
         _discard(sys.stderr if self.stderr else sys.stdout)
@@ -81,11 +82,6 @@ def to_stdout(text: str) -> None:
         sys.stdout.flush()
     except BrokenPipeError:
         _discard(sys.stdout)
-
-
-def _printable(text: str) -> str:
-    """Control characters as escapes; line breaks stay."""
-    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
 
 
 def _discard(stream: Any) -> None:

@@ -7,7 +7,7 @@ from math import degrees
 
 import numpy as np
 
-from carm_kin.errors import InputError
+from carm_kin.errors import InputError, on_one_line
 from carm_kin.machine.urdf import UrdfFile
 from carm_kin.results.parts import Placement, PlacementSigma
 from carm_kin.results.result import CalibrationResult
@@ -144,7 +144,7 @@ def facts(result: CalibrationResult, subject: Subject, convention: str, units: s
         f"sigma: {sigma_words(subject)}",
         *facts_of_origin(result),
     )
-    return tuple(printable(line) for line in lines)
+    return tuple(on_one_line(line) for line in lines)
 
 
 def facts_of_origin(result: CalibrationResult) -> tuple[str, ...]:
@@ -168,11 +168,6 @@ def sigma_words(subject: Subject) -> str:
     return f"{words}; of the direction of the {subject.axis} axis {degrees(subject.sigma_axis):.5f} deg"
 
 
-def printable(text: str) -> str:
-    """The text on one line: line breaks and control characters by their escapes."""
-    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
-
-
 def in_xml_comment(text: str) -> str:
     """The text as it may stand in an XML comment, which must not hold two hyphens in a row."""
-    return re.sub(r"-(?=-)", "- ", printable(text)).removesuffix("-")
+    return re.sub(r"-(?=-)", "- ", on_one_line(text)).removesuffix("-")

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from math import degrees
 from typing import Any
 
+from carm_kin.errors import printable
 from carm_kin.results.parts import Provenance
 from carm_kin.results.result_json import json_text, object_of
-from carm_kin.results.summary import Line, check_lines, printable, text_of
+from carm_kin.results.summary import Line, check_lines, text_of
 from solvers.estimate import Note
 
 SCHEMA = "carm-kin/check/1"

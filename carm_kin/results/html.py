@@ -3,7 +3,8 @@
 from collections.abc import Sequence
 from html import escape
 
-from carm_kin.results.summary import Row, printable
+from carm_kin.errors import printable
+from carm_kin.results.summary import Row
 from solvers.estimate import Note
 
 _LEFT, _RIGHT = "text-align: left; white-space: pre", "text-align: right"

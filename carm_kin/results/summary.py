@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from carm_kin.errors import printable
 from carm_kin.recording.intake import Intake
 from carm_kin.results.chain_result import ChainCalibration
 from carm_kin.results.held_out import HeldOut
@@ -87,11 +88,6 @@ def text_of(lines: Sequence[Line], warnings: Iterable[Note], refusal: Note | Non
     if refusal:
         every.append(Line(refusal.message, f"refused ({refusal.code}): "))
     return "\n".join(printable(line.head + line.text) for line in every)
-
-
-def printable(text: str) -> str:
-    """Control characters as escapes; line breaks stay."""
-    return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
 
 
 def in_mm(value: Array, sigma: Array | None) -> str:

@@ -10,10 +10,10 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from carm_kin.errors import printable
 from carm_kin.results.differences import MAJOR_RADIUS, MINOR_RADIUS, OFFSET, ORBITAL_AXIS, Difference
 from carm_kin.results.result import CalibrationResult
 from carm_kin.results.rows import Cell, cells
-from carm_kin.results.summary import printable
 
 if TYPE_CHECKING:
     from carm_kin.study.compare import Comparison, Run

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from solvers.estimate import Covariance, Note
+from solvers.told import FLOOR_RAD, MIN_ARC_RAD, NOISE_MULTIPLE
 
 A_MACHINE_M = 1.0
 """The size of a C-arm: a standard deviation beyond it is no number worth telling."""
@@ -32,11 +33,11 @@ class Limits:
     """Share of rejected poses from which on a warning says so."""
     max_moved_share: float = 0.2
     """Largest share of poses that may belong to another place of the base."""
-    min_arc_rad: float = float(np.radians(5.0))
+    min_arc_rad: float = MIN_ARC_RAD
     """A joint that an unknown needs is swept by at least so much: noise, wobble and sag turn one at rest by less."""
-    min_arc_sigmas: float = 10.0
+    min_arc_sigmas: float = NOISE_MULTIPLE
     """And by so many standard deviations of the orientation of one pose."""
-    least_sigma_r_rad: float = float(np.radians(0.05))
+    least_sigma_r_rad: float = FLOOR_RAD
     """Orientation noise that is counted with at least, since a fit may take a wobble for motion."""
     min_spread_sigmas: float = 4.0
     """Positions fill a surface if they spread by more than so many standard deviations across it."""
