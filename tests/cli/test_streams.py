@@ -130,6 +130,12 @@ def test_h_is_help(command, capsys):
         assert all(option in short.out for option in ("--quiet", "-q", "--verbose", "-v"))
 
 
+def said(tables: str) -> list[list[str]]:
+    """The words of every line but for times, whose digits also make a column and its rule wider or narrower."""
+    without_times = re.sub(r"\d+\.\d *$", "", tables, flags=re.M)
+    return [line.split() for line in without_times.splitlines() if set(line.strip()) != {"─"}]
+
+
 @needs_bash
 def test_no_table_is_cut(rec, tmp_path):
     arguments = "--solvers kinematic,direct,closed_form --folds 0"
@@ -139,8 +145,7 @@ def test_no_table_is_cut(rec, tmp_path):
     assert "orbital, in the sensor   angular, in the world" in re.sub(r"  +", "   ", ended.stdout)
     assert "…" not in ended.stdout
     assert max(map(len, ended.stdout.splitlines())) > 40
-    times = r"\d+\.\d *$"
-    assert re.sub(times, "", ended.stdout, flags=re.M) == re.sub(times, "", wide.stdout, flags=re.M)
+    assert said(ended.stdout) == said(wide.stdout)
     ended = shell(f"carm-kin compare {rec} {arguments} --json - > c.json", tmp_path, COLUMNS="40")
     assert "sigmas, own and kinematic's" in ended.stderr
     assert "…" not in ended.stderr
