@@ -107,7 +107,7 @@ class _Sweeps:
             "wrong_label",
             f"sweep {problem.held[here] + 1} (poses {poses.min()} to {poses.max()}) has the {NAMES[here[1]]} joint at "
             f"{np.degrees(problem.label[here]):.4g} deg by its label, which the other sweeps contradict by "
-            f"{np.degrees(self.error[k]):.2g} deg; the label was not used",
+            f"{abs(np.degrees(self.error[k])):.2g} deg; the label was not used",
         )
 
     def contrasts(self, kept: np.ndarray) -> Array:
@@ -143,11 +143,11 @@ def _scale(contrasts: Array, error: Array, sigma: Array, V: Array) -> tuple[floa
     v, U = np.linalg.eigh(np.linalg.solve(L, inner.T))
     v, square = np.maximum(v, 0.0), (U.T @ np.linalg.solve(L, contrasts.T @ error)) ** 2
     r, T = len(v), float((square / (1 + v)).sum())
-    if T <= r + 2 * np.sqrt(2 * r):
+    if r + 2 * np.sqrt(2 * r) >= T:
         return 1.0, False
     s2 = np.geomspace(1.0, 1.0 + square.sum(), STEPS)[:, None]
     cost = (np.log(s2 + v) + square / (s2 + v)).sum(axis=1)
-    return float(np.sqrt(s2[np.argmin(cost), 0])), T > 3 * (r + 1) + 10
+    return float(np.sqrt(s2[np.argmin(cost), 0])), 3 * (r + 1) + 10 < T
 
 
 def _disagree(off: float, stated: float) -> Note:
