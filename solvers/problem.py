@@ -31,7 +31,8 @@ class Problem:
     """Standard deviation of a moving joint's reading, rad."""
     sigma_label: Array | None = None
     """(N, 2) standard deviation of the label of a held joint, rad, an error that all poses of its sweep have in
-    common; 0, or None for all: exact; infinite: the label has no say. Where a pose holds both joints, the orbital one's label is exact."""
+    common; 0, or None for all: exact; infinite: the label has no say.
+    Where a pose holds both joints, the orbital one's label is exact."""
     sigma_t: float | None = None
     """Position noise an axis, m; None: estimated from the data."""
     sigma_r: float | None = None

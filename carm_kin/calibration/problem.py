@@ -17,8 +17,9 @@ def to_problem(
 
     A joint is held through a sweep in which the other one moves, at the sweep's label where that is known.
     Both are free where the sweep or its moving joint is unknown. ``sigma_label_rad`` is the standard deviation of the
-    labels, 0 exact; by default what their digits tell (`Recording.sweep_label_sigma`). Raises InputError where a third joint moves.
-    Every other joint is taken to stand still in a placement; `Recording.warnings` tells where it does not.
+    labels, 0 exact; by default what their digits tell (`Recording.sweep_label_sigma`). Raises InputError where
+    a third joint moves. Every other joint is taken to stand still in a placement; `Recording.warnings` tells
+    where it does not.
     """
     file = recording.source.path if recording.source else None
     held, label = np.full((len(recording), 2), -1), np.full((len(recording), 2), np.nan)

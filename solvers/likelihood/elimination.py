@@ -3,8 +3,8 @@
 With B = [J | h | r] the weighted local Jacobian of a pose, the column of its sweep's unknown held
 angle and the residual, A the columns of its own free angles and G = ATA plus the readings'
 precision, the pose contributes ``BTB - (ATB)T inv(G) (ATB)``. The held angles are scalars, each of
-which is eliminated in the same way once its poses and its label, if it has one, are summed. Everything is a sum over poses, taken
-in blocks that stay in the processor's cache, so memory and time grow linearly.
+which is eliminated in the same way once its poses and its label, if it has one, are summed.
+Everything is a sum over poses, taken in blocks that stay in the processor's cache, so memory and time grow linearly.
 """
 
 from collections.abc import Iterator
