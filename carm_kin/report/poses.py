@@ -147,13 +147,15 @@ def _fit(result: CalibrationResult, recording: Recording, joints: Joints, used: 
 
 def _held_as_used(problem: Problem, angles: Array, used: np.ndarray) -> Problem:
     """The problem with the ``angles`` (2, N) of the ``used`` poses of a sweep as its exact labels, where it has any."""
-    label, sigma_label = problem.label.copy(), problem.sigma_label
+    if problem.sigma_label is None:
+        return problem
+    label, sigma_label = problem.label.copy(), problem.sigma_label.copy()
     for joint in (0, 1):
         read = problem.label_read[:, joint]
         for sweep in np.unique(problem.held[read & used, joint]):
             own = read & (problem.held[:, joint] == sweep)
             label[own, joint] = angles[joint, own & used][0]
-            sigma_label = np.where(own[:, None] & (np.arange(2) == joint), 0.0, sigma_label)
+            sigma_label[own, joint] = 0.0
     return replace(problem, label=label, sigma_label=sigma_label)
 
 
