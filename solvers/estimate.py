@@ -100,6 +100,8 @@ class Estimate:
     """Orientation noise an axis, rad, as estimated or given."""
     used: np.ndarray | None = None
     """(N,) which poses had a say; None: all."""
+    sigma_label: Array | None = None
+    """(N, 2) `Problem.sigma_label` as the solver took it after weighing the labels; None: as it was given."""
     residual: Array | None = None
     """(N, K) what the solver's own model leaves of each pose, m, where there is no complete chain."""
     covariance: Covariance | None = None

@@ -14,6 +14,7 @@ from solvers.estimate import MEANINGLESS_RAD, Correlation, Estimate, Note
 from solvers.likelihood.correlation import Stretches, correlation_of, with_correlation
 from solvers.likelihood.covariance import active_unknowns, covariance_of, marginal_covariance
 from solvers.likelihood.elimination import Reduced, normal_equations
+from solvers.likelihood.labels import unlabelled, weighed
 from solvers.likelihood.linearise import AngleModel, linearise, retract
 from solvers.problem import ANGULAR, ORBITAL, Problem
 from solvers.se3 import Array
@@ -65,7 +66,8 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
     estimate = _from_coarse(problem, used, options, bool(options.fix_non_orthogonality))
     sigma = _sigma_of_epsilon(estimate)
     if options.fix_non_orthogonality is None and sigma > options.max_non_orthogonality_sigma_rad:
-        return replace(_from_coarse(problem, used, options, True), notes=(_fixed(sigma),))
+        fixed = _from_coarse(problem, used, options, True)
+        return replace(fixed, notes=(*fixed.notes, _fixed(sigma)))
     return estimate
 
 
@@ -85,10 +87,32 @@ def _from_coarse(problem: Problem, used: np.ndarray, options: Options, fix_non_o
         used = used & _agrees_with_labels(problem, torus)
     some = _some(problem, used)
     if len(problem) > 2 * COARSE and some.placements == problem.placements:
-        coarse = refine(some, torus, replace(options, reject_outliers=False), fix_non_orthogonality)
+        coarse = refine(unlabelled(some), torus, replace(options, reject_outliers=False), fix_non_orthogonality)
         if coarse.torus and coarse.sigma_t and coarse.sigma_r:
             torus, sigma = coarse.torus, (coarse.sigma_t, coarse.sigma_r)
-    return refine(problem, torus, options, fix_non_orthogonality, used, sigma)
+    return _weighing_labels(problem, torus, options, fix_non_orthogonality, used, sigma)
+
+
+def _weighing_labels(
+    problem: Problem,
+    torus: Torus,
+    options: Options,
+    fix_non_orthogonality: bool,
+    used: np.ndarray,
+    sigma: tuple[float, float] | None,
+) -> Estimate:
+    """`refine`; where labels are readings, first without them, and then with the weight that this fit gives them."""
+    if not problem.label_read.any():
+        return refine(problem, torus, options, fix_non_orthogonality, used, sigma)
+    blank = unlabelled(problem)
+    first = refine(blank, torus, options, fix_non_orthogonality, used, sigma)
+    if not (first.torus and first.sigma_t and first.sigma_r and first.angles is not None and first.used is not None):
+        raise ValueError("the fit of a chain lacks its noise or angles")
+    sigma, angles = (first.sigma_t, first.sigma_r), first.angles.T
+    at = normal_equations(first.torus, angles, blank, AngleModel.of(blank), sigma, first.used)
+    labels = weighed(problem, at, angles, marginal_covariance(at.H, active_unknowns(blank, fix_non_orthogonality)))
+    fit = refine(labels.problem, first.torus, options, fix_non_orthogonality, first.used, sigma)
+    return replace(fit, sigma_label=labels.problem.sigma_label, notes=labels.notes)
 
 
 def _some(problem: Problem, used: np.ndarray) -> Problem:
@@ -175,9 +199,16 @@ def correlated_covariance(at: Reduced, active: np.ndarray, correlation: Correlat
     )
 
 
-def fit_angles(problem: Problem, torus: Torus, iterations: int = 4) -> tuple[Array, Reduced]:
+def fit_angles(problem: Problem, torus: Torus) -> tuple[Array, Reduced]:
     """The most likely angles (2, N) for a chain that another solver found, and the normal equations there
-    with the noise that the residuals show; labels of held joints are taken as exact."""
+    with the noise that the residuals show; labels that are readings are weighed by what they show."""
+    if problem.label_read.any():
+        angles, at = _fitted_angles(unlabelled(problem), torus)
+        problem = weighed(problem, at, angles, np.zeros_like(at.H)).problem
+    return _fitted_angles(problem, torus)
+
+
+def _fitted_angles(problem: Problem, torus: Torus, iterations: int = 4) -> tuple[Array, Reduced]:
     model = AngleModel.of(problem)
     angles = model.start(torus, problem)
     at = normal_equations(torus, angles, problem, model, first_sigma(problem, torus, angles))

@@ -25,10 +25,14 @@ class Problem:
     """(N, 2) for the angular and the orbital joint: the number of the sweep during which the joint
     is held still, or -1 where it moves freely."""
     label: Array
-    """(N, 2) known joint angles, rad, NaN where unknown: of a held joint its exact label, of a moving
-    joint its reading, good to `sigma_reading`."""
+    """(N, 2) known joint angles, rad, NaN where unknown: of a held joint its label, good to `sigma_label`, of a
+    moving joint its reading, good to `sigma_reading`."""
     sigma_reading: float = float(np.radians(0.5))
     """Standard deviation of a moving joint's reading, rad."""
+    sigma_label: Array | None = None
+    """(N, 2) standard deviation of the label of a held joint, rad, an error that all poses of its sweep have in
+    common; 0, or None for all: exact; infinite: the label has no say.
+    Where a pose holds both joints, the orbital one's label is exact."""
     sigma_t: float | None = None
     """Position noise an axis, m; None: estimated from the data."""
     sigma_r: float | None = None
@@ -66,6 +70,15 @@ class Problem:
         alpha = np.array([known[self.placement == p, ANGULAR].any() for p in range(self.placements)], dtype=bool)
         return alpha, bool(known[:, ORBITAL].any())
 
+    @cached_property
+    def label_read(self) -> np.ndarray:
+        """(N, 2) mask of the labels of held joints that are not exact."""
+        if self.sigma_label is None:
+            return np.zeros(self.held.shape, dtype=bool)
+        read = (self.held >= 0) & np.isfinite(self.label) & (self.sigma_label > 0)
+        read[:, ORBITAL] &= self.held[:, ANGULAR] < 0
+        return read
+
     @property
     def rotations(self) -> Array:
         """`R_world_sensor`, for solvers that need it; raises ValueError where it was not recorded."""
@@ -95,6 +108,7 @@ class Problem:
             label=self.label[poses],
             scale=None if self.scale is None else self.scale[:, poses],
             time_s=None if self.time_s is None else self.time_s[poses],
+            sigma_label=None if self.sigma_label is None else self.sigma_label[poses],
         )
 
     def apart(self, poses: np.ndarray) -> "Problem":
@@ -107,4 +121,4 @@ class Problem:
     def without_labels(self) -> "Problem":
         """The same poses with nothing known of the joints."""
         blank = Problem.of_poses(self.p_world_sensor, self.R_world_sensor)
-        return replace(self, held=blank.held, label=blank.label)
+        return replace(self, held=blank.held, label=blank.label, sigma_label=None)

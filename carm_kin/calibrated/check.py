@@ -46,13 +46,15 @@ def check(
     orbital: str = "orbital",
     sigma_t_m: float | None = None,
     sigma_r_rad: float | None = None,
+    sigma_label_rad: float | None = None,
     command: str | None = None,
 ) -> Check:
     """Apply a saved calibration to a new recording of the same C-arm and sensor; both may be paths.
 
     The recording needs motion about both axes and enough poses: where three standard deviations of the offset's
     or the axis' change exceed the tolerance, it could not show what it is asked for and is refused. Labels are
-    used where there are any, and taken as exact. ``sigma_t_m`` and ``sigma_r_rad`` give the tracker's noise.
+    used where there are any; ``sigma_label_rad`` is their standard deviation, 0 for exact ones, by default that of
+    rounding to their last digit. ``sigma_t_m`` and ``sigma_r_rad`` give the tracker's noise.
 
     Raises InputError for a result that is refused or without a complete chain, a tolerance that is not above 0,
     and a recording that cannot be calibrated.
@@ -69,6 +71,7 @@ def check(
         orbital=orbital,
         sigma_t_m=sigma_t_m,
         sigma_r_rad=sigma_r_rad,
+        sigma_label_rad=sigma_label_rad,
         fix_non_orthogonality=saved.non_orthogonality == 0,
     )
     blank = Check(
@@ -83,7 +86,7 @@ def check(
     if new.refusal:
         return replace(blank, refusal=_advised(new.refusal))
     used = ~np.isin(recording.pose_number, new.outliers.indices)
-    problem = to_problem(recording, angular, orbital).select(used)
+    problem = to_problem(recording, angular, orbital, sigma_label_rad).select(used)
     return _judged(_compared(blank, result, saved, new, torus_of(new, recording.placements), problem))
 
 

@@ -33,7 +33,9 @@ def calibrate_as(
 def two_axes_arguments(recording: Recording, settings: Settings) -> dict[str, Any]:
     """What `carm_kin.calibrate` takes besides the solver. Raises InputError for joints the recording does not have."""
     angular, orbital = settings.joint_names(recording)
-    chosen = {"locus": settings.locus, "angular": angular, "orbital": orbital}
+    chosen: dict[str, Any] = {"locus": settings.locus, "angular": angular, "orbital": orbital}
+    if settings.sigma_label_rad is not None:
+        chosen["sigma_label_rad"] = settings.sigma_label_rad
     return chosen | settings.noise | dict(settings.options)
 
 

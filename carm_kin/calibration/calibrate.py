@@ -20,6 +20,7 @@ from carm_kin.results.parts import Outliers, Provenance, Rejection
 from carm_kin.results.provenance import provenance_of
 from carm_kin.results.result import CalibrationResult
 from carm_kin.steps import step
+from carm_kin.typed import check_from_zero
 from solvers.estimate import Note
 from solvers.problem import Problem
 from solvers.se3 import Array
@@ -43,6 +44,7 @@ def calibrate(
     orbital: str = "orbital",
     sigma_t_m: float | None = None,
     sigma_r_rad: float | None = None,
+    sigma_label_rad: float | None = None,
     limits: Limits = Limits(),
     command: str | None = None,
     **options: Any,
@@ -52,6 +54,8 @@ def calibrate(
     ``solver`` is one of `solvers.solver_names()`; by default ``kinematic``, or ``direct`` for a locus
     other than the circle of a C-arm. ``angular`` and ``orbital`` name the joints of the two axes.
     ``sigma_t_m`` and ``sigma_r_rad`` give the tracker's noise an axis; by default it is estimated.
+    ``sigma_label_rad`` is the standard deviation of the labels of held joints, 0 for exact ones; by default that of
+    rounding to their last digit.
     ``options`` are those of the solver. A refusal is a result of status ``refused``, not an exception.
 
     Raises InputError for an unknown solver or option, and where the recording lacks what the solver needs.
@@ -63,6 +67,7 @@ def calibrate(
     chosen = options_of(options_class(name), name, options)
     check_noise("sigma_t_m", sigma_t_m)
     check_noise("sigma_r_rad", sigma_r_rad)
+    check_from_zero("sigma_label_rad", sigma_label_rad)
     not_measured = NotMeasured.of(recording.p_world_sensor, recording.R_world_sensor)
     again = not_measured.any_of
     if (~again).sum() < limits.min_poses:
@@ -70,7 +75,9 @@ def calibrate(
     result = _calibrated(
         recording,
         ~again,
-        lambda kept: replace(to_problem(kept, angular, orbital), sigma_t=sigma_t_m, sigma_r=sigma_r_rad),
+        lambda kept: replace(
+            to_problem(kept, angular, orbital, sigma_label_rad), sigma_t=sigma_t_m, sigma_r=sigma_r_rad
+        ),
         name,
         chosen,
         limits,

@@ -61,7 +61,7 @@ def cross_validate(
     if not of_point:
         torus_of(whole, recording.placements)
     sound = ~np.isin(recording.pose_number, whole.outliers.indices) if counted is None else counted
-    problem = to_problem(recording, angular, orbital)
+    problem = to_problem(recording, angular, orbital, options.get("sigma_label_rad"))
     rows: list[HeldOut] = []
     sums: list[Errors] = []
     for fold in range(folds):

@@ -74,6 +74,10 @@ class Settings:
     sensor_link: str | None = None
     sigma_t_mm: float | None = None
     sigma_r_deg: float | None = None
+    sigma_label_deg: float | None = None
+    """Standard deviation of the labels of held joints; by default that of rounding to their last digit."""
+    labels_exact: bool = False
+    """Whether these labels are exact."""
     cross_validate: int | None = None
     """Number of parts that are predicted by the fit to the others."""
     free: str = "all"
@@ -98,6 +102,13 @@ class Settings:
             "sigma_r_rad": None if self.sigma_r_deg is None else self.sigma_r_deg * radians(1),
         }
 
+    @property
+    def sigma_label_rad(self) -> float | None:
+        """As `carm_kin.calibrate` takes it: 0 where the labels are exact."""
+        if self.labels_exact:
+            return 0.0
+        return None if self.sigma_label_deg is None else radians(self.sigma_label_deg)
+
     def check(self, named: Named = str) -> None:
         """Raise InputError for what is wrong whatever the recording, in the words of where it was given."""
         name = self.solver_name
@@ -106,7 +117,11 @@ class Settings:
             raise only_with_chain(", ".join(own))
         for key in ("sigma_t_mm", "sigma_r_deg"):
             above_zero(named(key), getattr(self, key), 1.0)
-        for key in ("sigma_reading_deg", "sigma_reading_mm"):
+        if self.sigma_label_deg is not None and name == CHAIN:
+            raise InputError(f"{named('sigma_label_deg')}: the calibration of a chain takes labels as exact")
+        if self.sigma_label_deg is not None and self.labels_exact:
+            raise InputError(f"{named('sigma_label_deg')} and {named('labels_exact')} contradict each other; keep one")
+        for key in ("sigma_label_deg", "sigma_reading_deg", "sigma_reading_mm"):
             check_from_zero(named(key), getattr(self, key))
         if self.cross_validate is not None and self.cross_validate < 2:
             raise InputError(f"{named('cross_validate')} needs at least 2 parts, not {self.cross_validate}")
@@ -142,7 +157,7 @@ class Settings:
         arguments = ["calibrate", path]
         for name, value in vars(self).items():
             if name != "options" and value != getattr(Settings(), name):
-                arguments += ["--" + name.replace("_", "-"), str(value)]
+                arguments += ["--" + name.replace("_", "-"), *([] if value is True else [str(value)])]
         for name, value in self.options.items():
             arguments += ["--option", f"{name}={value if isinstance(value, str) else json.dumps(value)}"]
         return command_line(arguments)

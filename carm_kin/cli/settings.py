@@ -45,6 +45,11 @@ def settings_options(
     sensor_link: SensorLink = None,
     sigma_t_mm: Annotated[float | None, _option("--sigma-t-mm", help="Position noise, if it is known.")] = None,
     sigma_r_deg: Annotated[float | None, _option("--sigma-r-deg", help="Orientation noise, if it is known.")] = None,
+    sigma_label_deg: Annotated[
+        float | None,
+        _option("--sigma-label-deg", help="Error of the labels of held joints; left out: from their digits."),
+    ] = None,
+    labels_exact: Annotated[bool | None, _option("--labels-exact", help="The labels of held joints are exact.")] = None,
     option: Annotated[
         list[str] | None, _option("--option", "-O", help="Option of the solver, NAME=VALUE; may be repeated.")
     ] = None,

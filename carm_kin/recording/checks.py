@@ -10,9 +10,15 @@ from solvers.se3 import Array
 ROTATION_TOLERANCE = 1e-3
 """Largest entry of ``R Rᵀ - I`` that is taken for rounding."""
 LABEL_TOLERANCE_RAD = float(np.radians(1e-6))
-"""How far the labels of a held joint may differ within a sweep."""
+"""How far the labels of a joint may differ and still be the same."""
 LABEL_TOLERANCE_M = 1e-9
 """The same for a prismatic joint."""
+WANDER_RAD = float(np.radians(0.05))
+"""How far the readings of a held joint may wander within a sweep, whatever their digits."""
+WANDER_M = 5e-5
+"""The same for a prismatic joint."""
+WANDER_STEPS = 1.5
+"""So many steps of the last digit are allowed, too: a display flips between two neighbours."""
 REPEATED = "identical to the pose before"
 """What the list of outliers says of them."""
 REPEATED_TOLERANCE = 1e-6
@@ -105,6 +111,18 @@ def first_known(values: Array, group: np.ndarray, groups: int) -> Array:
     number, index = np.unique(group[known], return_index=True)
     first[number] = values[known[index]]
     return first
+
+
+def mean_known(values: Array, group: np.ndarray, groups: int) -> tuple[Array, Array]:
+    """(groups,) mean and standard deviation of the known values in every group, NaN where there is none; -1 is no
+    group. The mean of equal values is that value."""
+    first = first_known(values, group, groups)
+    known = np.flatnonzero(np.isfinite(values) & (group >= 0))
+    number = group[known]
+    off = values[known] - first[number]
+    count = np.maximum(np.bincount(number, minlength=groups), 1)
+    mean = np.bincount(number, off, groups) / count
+    return first + mean, np.sqrt(np.bincount(number, (off - mean[number]) ** 2, groups) / count)
 
 
 def label_unit(prismatic: bool) -> tuple[float, float, str]:

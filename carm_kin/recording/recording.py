@@ -14,9 +14,13 @@ from carm_kin.recording.checks import (
     LABEL_TOLERANCE_RAD,
     OPTIONAL_COLUMNS,
     ROTATION_TOLERANCE,
+    WANDER_M,
+    WANDER_RAD,
+    WANDER_STEPS,
     PoseError,
     first_known,
     label_unit,
+    mean_known,
     numbered,
     numeric,
     repeated,
@@ -26,6 +30,7 @@ from carm_kin.recording.checks import (
 )
 from carm_kin.recording.figure import recording_figure
 from carm_kin.recording.intake import Intake
+from carm_kin.recording.written import written_step
 from solvers.estimate import Note
 from solvers.se3 import Array, transform
 
@@ -231,8 +236,22 @@ class Recording:
 
     @cached_property
     def sweep_labels(self) -> Mapping[str, Array]:
-        """Joint name -> (S,) the first known value in every sweep, NaN where there is none."""
-        return {j: first_known(values, self.sweep_number, len(self._first)) for j, values in self.joints.items()}
+        """Joint name -> (S,) the mean of the known values in every sweep, rad or m, NaN where there is none."""
+        return {j: mean_known(values, self.sweep_number, len(self._first))[0] for j, values in self.joints.items()}
+
+    @cached_property
+    def sweep_label_sigma(self) -> Mapping[str, Array]:
+        """Joint name -> (S,) standard deviation of `sweep_labels` of a held joint, rad or m: that of rounding to the
+        last digit written, step / sqrt(12), and what the values wander by within the sweep."""
+        found = {}
+        for joint, values in self.joints.items():
+            wander = mean_known(values, self.sweep_number, len(self._first))[1]
+            found[joint] = np.hypot(self.label_step(joint) / np.sqrt(12), wander)
+        return found
+
+    def label_step(self, joint: str) -> float:
+        """The step of the last digit of a joint's values, rad or m, as `written_step` tells it; NaN without values."""
+        return written_step(self.joints[joint], joint in self.prismatic)
 
     @property
     def warnings(self) -> tuple[Note, ...]:
@@ -265,9 +284,11 @@ class Recording:
                 self._check_constant(column, values, expected, values != expected, hint)
         if self.moving is None:
             return
-        for joint, labels in self.sweep_labels.items():
-            values, expected = self.joints[joint], labels[self.sweep_number]
-            tolerance, scale, unit = label_unit(joint in self.prismatic)
+        for joint, values in self.joints.items():
+            expected = first_known(values, self.sweep_number, len(self._first))[self.sweep_number]
+            _, scale, unit = label_unit(joint in self.prismatic)
+            wander = WANDER_M if joint in self.prismatic else WANDER_RAD
+            tolerance = np.fmax(wander, WANDER_STEPS * self.label_step(joint))
             wrong = (self.moving != "") & (self.moving != joint) & (np.abs(values - expected) > tolerance)
             hint = f"within a sweep only the joint named in 'moving' changes its value ({unit})"
             self._check_constant(f"q_{joint}", values * scale, expected * scale, wrong, hint)

@@ -136,12 +136,27 @@ def _fit(result: CalibrationResult, recording: Recording, joints: Joints, used: 
     noise = result.noise
     known = replace(problem, label=label, sigma_t=noise.translation_m, sigma_r=noise.rotation_rad)
     angles = np.empty((2, len(recording)))
-    for part in (used, ~used):
-        if part.any():
-            angles[:, part] = fit_angles(known.select(part), torus)[0]
+    if used.any():
+        angles[:, used] = fit_angles(known.select(used), torus)[0]
     if result.angles_rad is not None:
         angles[:, used] = result.angles_rad[used].T
+    if not used.all():
+        angles[:, ~used] = fit_angles(_held_as_used(known, angles, used).select(~used), torus)[0]
     return Fit(torus, angles.T, *_residuals(known, torus, angles, used)), ""
+
+
+def _held_as_used(problem: Problem, angles: Array, used: np.ndarray) -> Problem:
+    """The problem with the ``angles`` (2, N) of the ``used`` poses of a sweep as its exact labels, where it has any."""
+    if problem.sigma_label is None:
+        return problem
+    label, sigma_label = problem.label.copy(), problem.sigma_label.copy()
+    for joint in (0, 1):
+        read = problem.label_read[:, joint]
+        for sweep in np.unique(problem.held[read & used, joint]):
+            own = read & (problem.held[:, joint] == sweep)
+            label[own, joint] = angles[joint, own & used][0]
+            sigma_label[own, joint] = 0.0
+    return replace(problem, label=label, sigma_label=sigma_label)
 
 
 def _own_labels(problem: Problem, torus: Torus) -> Array:

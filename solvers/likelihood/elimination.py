@@ -3,8 +3,8 @@
 With B = [J | h | r] the weighted local Jacobian of a pose, the column of its sweep's unknown held
 angle and the residual, A the columns of its own free angles and G = ATA plus the readings'
 precision, the pose contributes ``BTB - (ATB)T inv(G) (ATB)``. The held angles are scalars, each of
-which is eliminated in the same way once its poses are summed. Everything is a sum over poses, taken
-in blocks that stay in the processor's cache, so memory and time grow linearly.
+which is eliminated in the same way once its poses and its label, if it has one, are summed.
+Everything is a sum over poses, taken in blocks that stay in the processor's cache, so memory and time grow linearly.
 """
 
 from collections.abc import Iterator
@@ -45,7 +45,7 @@ def normal_equations(
             None if used is None or used[here].all() else used[here],
             here,
         )
-    return total.reduced(model, problem, sigma)
+    return total.reduced(model, problem, sigma, model.label_error(angles))
 
 
 def _blocks(n: int) -> Iterator[slice]:
@@ -131,10 +131,15 @@ class _Sums:
         V[:, RESIDUAL] += read * error
         return V
 
-    def reduced(self, model: AngleModel, problem: Problem, sigma: tuple[float, ...]) -> Reduced:
-        """Eliminate the held angles and put the placements together."""
+    def reduced(self, model: AngleModel, problem: Problem, sigma: tuple[float, ...], label_error: Array) -> Reduced:
+        """Eliminate the held angles, which are off their labels by ``label_error`` (S,), and put the placements
+        together."""
         columns = columns_of(problem.placements)
         size = 6 * problem.placements + LOCAL - 6
+        known = np.where(self.sweep[:, HELD] > 0, model.sweep_precision, 0.0)
+        self.sweep[:, HELD] += known
+        self.sweep[:, RESIDUAL] += known * label_error
+        self.reading_cost += float((known * label_error**2).sum())
         own = self.sweep[:, HELD]
         ratio = self.sweep / np.where(own > 0, own, 1.0)[:, None]
         index = np.concatenate([columns[model.sweep_placement], np.full((len(own), 1), size)], axis=1)
@@ -147,12 +152,17 @@ class _Sums:
                 (self.reading_moment, self.sweep_reading),
             )
         )
+        if known.any():
+            left = -rho
+            left[:, -1] += label_error
+            L += (left.T * known) @ left
         shares = [
             float((sums[:, HELD] / np.where(own > 0, own, 1.0)).sum())
             for sums in (self.sweep_position, self.sweep_reading)
         ]
         absorbed = self.absorbed_position + shares[0]
-        rotation = self.free + (own > 0).sum() - absorbed - self.absorbed_readings - shares[1]
+        labels = float((known / np.where(own > 0, own, 1.0)).sum())
+        rotation = self.free + (own > 0).sum() - absorbed - self.absorbed_readings - shares[1] - labels
         H, M, L = (0.5 * (x + x.T) for x in (H, M, L))
         return Reduced(
             H=H[:-1, :-1],
@@ -171,6 +181,7 @@ class _Sums:
             _constant=float(H[-1, -1]) + self.reading_cost,
             _response=self.response,
             _sweep_response=ratio,
+            _sweep_information=own,
             _columns=columns,
             _placement=problem.placement,
             _model=model,

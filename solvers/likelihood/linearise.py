@@ -37,6 +37,12 @@ class AngleModel:
     """(N,) which joint that sweep holds."""
     sweep_placement: np.ndarray
     """(S,) the base placement of each such sweep."""
+    sweep_first: np.ndarray
+    """(S,) its first pose in the whole problem."""
+    sweep_label: Array
+    """(S,) the label of its held angle, rad; 0 where there is none."""
+    sweep_precision: Array
+    """(S,) 1 / variance of that label; 0 where there is none."""
     reading: Array
     """(2, N) reading of a moving joint, rad; 0 where there is none."""
     precision: Array
@@ -46,8 +52,8 @@ class AngleModel:
 
     @staticmethod
     def of(problem: Problem) -> "AngleModel":
-        """A joint that is held without a label is unknown once a sweep; a moving one, at every pose."""
-        known = np.isfinite(problem.label)
+        """A joint that is held without an exact label is unknown once a sweep; a moving one, at every pose."""
+        known = np.isfinite(problem.label) & ~problem.label_read
         held = problem.held >= 0
         held[:, 1] &= ~held[:, 0]
         unknown = held & ~known
@@ -59,11 +65,15 @@ class AngleModel:
         moving = problem.held < 0
         moving[:, 1] |= (problem.held >= 0).all(axis=1) & ~known[:, 1]
         reading = known & moving
+        label, precision = _sweep_labels(problem, sweep, joint, len(first))
         return AngleModel(
             free=moving.T,
             sweep=sweep,
             sweep_joint=joint,
             sweep_placement=problem.placement[member][first],
+            sweep_first=np.flatnonzero(member)[first],
+            sweep_label=label,
+            sweep_precision=precision,
             reading=np.where(reading, problem.label, 0.0).T,
             precision=reading.T / problem.sigma_reading**2,
             scale=problem.scale,
@@ -83,22 +93,46 @@ class AngleModel:
 
     def start(self, torus: Torus, problem: Problem, trusted: np.ndarray | None = None) -> Array:
         """alpha, beta (2, N): from the orientations, constant in a held sweep (the mean over its ``trusted``
-        poses (N,)), the label where it is exact."""
+        poses (N,)), the label where it is exact; of a labelled sweep within half a turn of the label."""
         angles = torus.angles(problem).T
         poses = np.flatnonzero(self.sweep >= 0)
         joint, sweep = self.sweep_joint[poses], self.sweep[poses]
         weight = 1.0 if trusted is None else np.where(trusted[poses], 1.0, 1e-9)
         total = np.zeros(len(self.sweep_placement), dtype=complex)
         np.add.at(total, sweep, weight * np.exp(1j * angles[joint, poses]))
-        angles[joint, poses] = np.angle(total)[sweep]
-        exact = np.isfinite(problem.label.T) & ~self.free
+        held = np.angle(total)
+        held = np.where(self.sweep_precision > 0, self.sweep_label + _wrapped(held - self.sweep_label), held)
+        angles[joint, poses] = held[sweep]
+        exact = np.isfinite(problem.label.T) & ~self.free & ~problem.label_read.T
         return np.where(exact, problem.label.T, angles)
 
     def reading_error(self, angles: Array) -> Array:
         """(2, N) angle less reading, wrapped to a half turn; 0 where there is no reading."""
         if not self.precision.any():
             return np.zeros_like(angles)
-        return np.where(self.precision > 0, np.angle(np.exp(1j * (angles - self.reading))), 0.0)
+        return np.where(self.precision > 0, _wrapped(angles - self.reading), 0.0)
+
+    def label_error(self, angles: Array) -> Array:
+        """(S,) held angle less label, wrapped to a half turn, of ``angles`` (2, N) of the whole problem; 0 where there
+        is no label."""
+        held = angles[self.sweep_joint[self.sweep_first], self.sweep_first]
+        return np.where(self.sweep_precision > 0, _wrapped(held - self.sweep_label), 0.0)
+
+
+def _sweep_labels(problem: Problem, sweep: np.ndarray, joint: np.ndarray, sweeps: int) -> tuple[Array, Array]:
+    """(S,) mean label of each sweep and 1 / its variance, 0 where it has none."""
+    if problem.sigma_label is None:
+        return np.zeros(sweeps), np.zeros(sweeps)
+    n = np.arange(len(sweep))
+    poses = np.flatnonzero((sweep >= 0) & problem.label_read[n, joint])
+    members, here = sweep[poses], (poses, joint[poses])
+    count = np.maximum(np.bincount(members, minlength=sweeps), 1)
+    label = np.bincount(members, problem.label[here], sweeps) / count
+    return label, np.bincount(members, problem.sigma_label[here] ** -2.0, sweeps) / count
+
+
+def _wrapped(angle: Array) -> Array:
+    return np.angle(np.exp(1j * angle))
 
 
 @dataclass(frozen=True, eq=False)

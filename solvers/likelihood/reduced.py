@@ -25,7 +25,7 @@ class Reduced:
     position_information: Array
     """(D, D) share of H that the position residuals carry, and"""
     reading_information: Array
-    """(D, D) that the readings carry; the rotations carry the rest."""
+    """(D, D) that readings and labels carry; the rotations carry the rest."""
     redundancy: tuple[float, float]
     """Number of position and of rotation residuals, each less the part that the angles absorb
     (without orientations the second is without meaning)."""
@@ -34,7 +34,7 @@ class Reduced:
     squares: tuple[float, float]
     """Weighted sum of the squared position (m^2) and rotation (rad^2) residuals, not scaled by sigma."""
     reading_cost: float
-    """The readings' part of the sum of squares, scaled."""
+    """The part of readings and labels in the sum of squares, scaled."""
     sigma: tuple[float, ...]
     distance2: Array
     """(N,) squared Mahalanobis distance of each pose's residual once its own free angles are fitted."""
@@ -49,7 +49,9 @@ class Reduced:
     _response: Array
     """(2, 16, N) what each free angle takes of every column of B."""
     _sweep_response: Array
-    """(S, 16) the same of each held angle, scaled to its own column."""
+    """(S, 16) the same of each held angle, scaled to its own column, and"""
+    _sweep_information: Array
+    """(S,) its own information; 0 where no pose of the sweep is used."""
     _columns: np.ndarray
     _placement: np.ndarray
     _model: AngleModel
@@ -76,6 +78,19 @@ class Reduced:
             return position * self.sigma[0] ** 2, 0.0
         total = float(self._constant + 2 * self.g @ x + x @ self.H @ x)
         return position * self.sigma[0] ** 2, max(total - reading - position, 0.0) * self.sigma[1] ** 2
+
+    @property
+    def measured(self) -> np.ndarray:
+        """(S,) mask of the held angles that used poses measure."""
+        return self._sweep_information > 0
+
+    def held_covariance(self, C: Array) -> Array:
+        """(S, S), rad^2, of the held angles, given that of the machine's unknowns (D, D)."""
+        response = np.zeros((len(self._sweep_information), len(C)))
+        columns = self._columns[self._model.sweep_placement]
+        np.put_along_axis(response, columns, self._sweep_response[:, :LOCAL], axis=1)
+        own = np.divide(1.0, self._sweep_information, where=self.measured, out=np.full(len(response), np.inf))
+        return np.diag(own) + response @ C @ response.T
 
     def angle_step(self, x: Array) -> Array:
         """The step of every angle (2, N) that goes with the step ``x`` (D,) of the machine."""

@@ -65,7 +65,8 @@ class Assessment:
 def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> Assessment:
     """Judge an estimate of ``problem`` by the poses that it used; the rows of the others are NaN."""
     used = np.ones(len(problem), dtype=bool) if estimate.used is None else estimate.used
-    part = problem if used.all() else problem.select(used)
+    part = problem if estimate.sigma_label is None else replace(problem, sigma_label=estimate.sigma_label)
+    part = part if used.all() else part.select(used)
     if estimate.told is not None:
         return _assess_point(problem, part, estimate, used, limits)
     if estimate.torus is None or len(part) < limits.min_poses:

@@ -75,11 +75,17 @@ def test_another_machine_fails(saved):
 def test_a_slip_about_the_orbital_axis_is_seen_with_labels_alone(saved):
     """The carm frame turned about its y axis, 1 deg: neither the offset nor the axes change."""
     slip = saved.T_sensor_carm @ exp_se3(np.array([0, 0, 0, 0, DEG, 0])) @ np.linalg.inv(saved.T_sensor_carm)
-    labelled, bare = (check(saved, recorded(T_sensor_mount=slip, labels=labels)) for labels in (True, False))
+    labelled, bare = (
+        check(saved, recorded(T_sensor_mount=slip, labels=labels), sigma_label_rad=0.0) for labels in (True, False)
+    )
     assert labelled.status == "failed"
     assert len(labelled.failures) == 1
     assert labelled.orbital_zero.difference_rad == pytest.approx(DEG, rel=0.05)
     assert bare.status == "passed"
+    # whole degrees tell a zero to some 0.2 deg
+    read = check(saved, recorded(T_sensor_mount=slip)).orbital_zero
+    assert read.difference_rad == pytest.approx(DEG, rel=0.05)
+    assert read.sigma_rad > 10 * labelled.orbital_zero.sigma_rad
 
 
 def test_too_short_a_recording_is_refused(saved):

@@ -83,7 +83,8 @@ def test_rotations_within_the_tolerance_are_kept_as_they_are():
         ({"moving": ["orbital", "angular", *"aaoo"]}, 1, "moving", ["sweep 'o'", "'angular'", "'orbital'"]),
         ({"moving": ["orbital", "orbital", "angular", "", "orbital", ""]}, 3, "moving", ["sweep 'a'", "''"]),
         ({"placement": ["P", "P", "Q", "P", "P", "Q"]}, 3, "placement", ["sweep 'a'", "'P'", "'Q'"]),
-        ({"joints": {"angular": np.radians([10, np.nan, 1, 2, 10.00001, 7])}}, 4, "q_angular", ["10.00001", "deg"]),
+        ({"joints": {"angular": np.radians([10, np.nan, 1, 2, 10.06, 7])}}, 4, "q_angular", ["10.06", "deg"]),
+        ({"joints": {"angular": np.radians([10, np.nan, 1, 2, 12, 7])}}, 4, "q_angular", ["12", "deg"]),
         ({"joints": {"lift": [0, 0.002, 0, 0, 0, 0]}, "prismatic": {"lift"}}, 1, "q_lift", ["'2'", "'0'", "mm"]),
     ],
 )
@@ -98,13 +99,28 @@ def test_contradicting_labels_are_refused(change, pose, column, words):
     "change",
     [
         {"joints": {"angular": np.radians([10, 10 + 9e-7, 1, 2, 10, 7])}},
+        {"joints": {"angular": np.radians([10, 11, 1, 2, 10, 7])}},
+        {"joints": {"angular": np.radians([10, 10.04, 1, 2, 10, 7])}},
         {"joints": {"lift": [1, 1 + 9e-10, 0, 0, 1, 0]}, "prismatic": {"lift"}},
+        {"joints": {"lift": [1, 1 + 4e-5, 0, 0, 1, 0]}, "prismatic": {"lift"}},
         {"moving": None, "joints": {"angular": np.arange(6.0)}},
         {"moving": [""] * 6, "joints": {"angular": np.arange(6.0)}},
     ],
 )
 def test_labels_that_do_not_contradict_are_taken(change):
     assert len(two_sweeps(**change)) == 6
+
+
+def test_the_label_of_a_sweep_is_the_mean_of_what_a_display_shows():
+    recording = two_sweeps(joints={"angular": np.radians([10, np.nan, 1, 2, 11, 7]), "orbital": np.full(6, np.nan)})
+    assert np.degrees(recording.sweep_labels["angular"][0]) == pytest.approx(10.5)
+    # rounding to whole degrees, and half a degree of wandering
+    assert np.degrees(recording.sweep_label_sigma["angular"][0]) == pytest.approx(np.hypot(1 / np.sqrt(12), 0.5))
+    problem = to_problem(recording)
+    assert problem.label_read[[0, 1, 4], 0].all()
+    assert problem.label_read.sum() == 3
+    assert not to_problem(recording, sigma_label_rad=0.0).label_read.any()
+    assert to_problem(recording, sigma_label_rad=0.01).sigma_label[0, 0] == 0.01
 
 
 def test_a_pose_error_survives_a_process_pool():

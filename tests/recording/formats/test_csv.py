@@ -144,10 +144,10 @@ BROKEN = {
         ["sweep 's'", "'A'", "'B'"],
     ),
     "label changes": (
-        table(HEADER + ",sweep,moving,q_angular_deg", *(f"{POSE},s,orbital,{q}" for q in ("", 10, 10.00001))),
+        table(HEADER + ",sweep,moving,q_angular_deg", *(f"{POSE},s,orbital,{q}" for q in ("", 10, 10.06))),
         4,
         "q_angular_deg",
-        ["sweep 's'", "'10.00001'", "'10'", "deg"],
+        ["sweep 's'", "'10.06'", "'10'", "deg"],
     ),
     "open quote": (table(HEADER + ",note", POSE + ',"a', POSE + ',b"'), 2, None, ["quoted cell"]),
     "text after a quote": (table(HEADER + ",note", POSE + ",a", POSE + ',"a"b'), 3, None, ["quoted cell"]),
