@@ -1,0 +1,142 @@
+"""The linearised likelihood of stretches of neighbouring poses: as much as slow effects need, and no more."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solvers.likelihood.correlation import Stretches
+from solvers.likelihood.elimination import columns_of
+from solvers.likelihood.linearise import LOCAL, AngleModel, linearise
+from solvers.likelihood.reduced import HELD, RESIDUAL, blocks_of, inverse_blocks, weighted
+from solvers.problem import Problem
+from solvers.se3 import Array
+from solvers.torus import Torus
+
+MOST_BLOCKS = 600
+"""Stretches into which the poses are cut, about."""
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """B stretches of neighbouring poses of one sweep, each as one pose of the mean of their rows.
+
+    The rows are those of the weighted linearisation with the poses' own angles eliminated, times the root of the
+    number of poses: the variance of white noise is then 1.
+    """
+
+    middle: np.ndarray
+    """(B,) the pose in the middle of each block."""
+    stretch: np.ndarray
+    """(B,) number of the contiguous stretch of poses in which it lies; it never falls."""
+    first: np.ndarray
+    """(B,) where each block begins in `order`."""
+    order: np.ndarray
+    """(N,) the poses as they follow one another."""
+    by_unknown: Array
+    """(6 + 2, u, B) derivative of the residual by the unknowns: the machine's active ones, then the held angles."""
+    residual: Array
+    """(6 + 2, B) position, rotation, and two of the readings, all 0 where there are none."""
+    whiten: Array
+    """(6, 6, B) takes a displacement (m, rad, in the carm frame) to the rows."""
+    rows: Array
+    """(2,) number of position and of rotation rows, less what the eliminated angles absorb."""
+    fixed: Array
+    """(u + 1, u + 1) information of the labels of held angles on the unknowns, less their gradient, and their cost."""
+
+    @staticmethod
+    def of(problem: Problem, torus: Torus, angles: Array, sigma: tuple[float, float], active: np.ndarray) -> "Blocks":
+        """Of all poses at the estimate ``torus``, ``angles`` (2, N), with its noise (m, rad) and ``active`` (D,)
+        unknowns."""
+        model = AngleModel.of(problem)
+        B, A = weighted(linearise(torus, angles, problem), model, sigma)
+        error = model.reading_error(angles)
+        C = np.stack([np.einsum("rn,rkn->kn", A[:, j], B) for j in (0, 1)])
+        C[:, RESIDUAL] += model.precision * error
+        own = blocks_of(A[:3]), blocks_of(A[3:])
+        g, h, k = inverse_blocks(own[0] + own[1], model)
+        X = np.stack([g * C[0] + h * C[1], h * C[0] + k * C[1]])
+        absorbed = np.stack([g * a + 2 * h * b + k * d for a, b, d in own])
+        read = np.sqrt(model.precision)
+        V = -read[:, None] * X
+        V[:, RESIDUAL] += read * error
+        B = np.concatenate([B - A[:, 0, None] * X[0] - A[:, 1, None] * X[1], V])
+
+        stretches = Stretches.of(problem)
+        first = _first(stretches)
+        count = np.diff(np.append(first, len(problem)))
+        middle = stretches.order[first + count // 2]
+        B = _means(B, stretches.order, first, count) * np.sqrt(count)
+        absorbed = _means(absorbed, stretches.order, first, count).sum(axis=1)
+        by_unknown = _among_all(B, problem, model, middle)[:, _kept(active, model)]
+        return Blocks(
+            middle=middle,
+            stretch=stretches.number[first],
+            first=first,
+            order=stretches.order,
+            by_unknown=by_unknown,
+            residual=B[:, RESIDUAL],
+            whiten=_projected(A[..., middle], np.stack([g, h, k])[:, middle], model, middle, sigma) * np.sqrt(count),
+            rows=3 * len(first) - absorbed,
+            fixed=_labels(model, angles, active),
+        )
+
+    @property
+    def stretches(self) -> list[slice]:
+        """Where each contiguous stretch of poses stands in `order`."""
+        edges = self.first[np.flatnonzero(np.diff(self.stretch)) + 1]
+        return [slice(a, b) for a, b in zip([0, *edges], [*edges, len(self.order)], strict=True)]
+
+    def mean(self, values: Array) -> Array:
+        """(..., B) means over the blocks of the values (..., N) of all poses."""
+        return _means(values, self.order, self.first, np.diff(np.append(self.first, len(self.order))))
+
+
+def _first(stretches: Stretches) -> np.ndarray:
+    """Where each block begins among the ordered poses."""
+    n = len(stretches.order)
+    size = -(-n // MOST_BLOCKS)
+    begins = np.concatenate([[True], np.diff(stretches.number) > 0])
+    start = np.flatnonzero(begins)
+    within = np.arange(n) - start[np.cumsum(begins) - 1]
+    return np.flatnonzero(within % size == 0)
+
+
+def _means(values: Array, order: np.ndarray, first: np.ndarray, count: np.ndarray) -> Array:
+    return np.add.reduceat(values[..., order], first, axis=-1) / count
+
+
+def _among_all(B: Array, problem: Problem, model: AngleModel, middle: np.ndarray) -> Array:
+    """(6, D + S, B) the columns of the pose's own unknowns and of its held angle, among those of all."""
+    size, sweeps = 6 * problem.placements + LOCAL - 6, len(model.sweep_placement)
+    full = np.zeros((len(B), size + sweeps, len(middle)))
+    columns, poses = columns_of(problem.placements)[problem.placement[middle]], np.arange(len(middle))
+    full[:, columns, poses[:, None]] = B[:, :LOCAL].swapaxes(1, 2)
+    held = np.flatnonzero(model.sweep[middle] >= 0)
+    full[:, size + model.sweep[middle[held]], held] = B[:, HELD, held]
+    return full
+
+
+def _kept(active: np.ndarray, model: AngleModel) -> np.ndarray:
+    return np.concatenate([active, np.ones(len(model.sweep_placement), dtype=bool)])
+
+
+def _projected(A: Array, G: Array, model: AngleModel, poses: np.ndarray, sigma: tuple[float, float]) -> Array:
+    """(6, 6, B): I - A inv(G) Aᵀ of the poses' own angles, times the weights."""
+    g, h, k = G
+    first, second = A[:, 0] * g + A[:, 1] * h, A[:, 0] * h + A[:, 1] * k
+    P = np.eye(len(A))[:, :, None] - A[:, None, 0] * first - A[:, None, 1] * second
+    weight = np.repeat(1 / np.asarray(sigma), 3)[:, None]
+    if model.scale is not None:
+        weight = weight / np.repeat(model.scale[:, poses], 3, axis=0)
+    return P * weight
+
+
+def _labels(model: AngleModel, angles: Array, active: np.ndarray) -> Array:
+    """(u + 1, u + 1) of the labels of held angles, which are off by their error at the estimate."""
+    known, error = model.sweep_precision, model.label_error(angles)
+    u = int(active.sum()) + len(known)
+    fixed, own = np.zeros((u + 1, u + 1)), np.arange(u - len(known), u)
+    fixed[own, own] = known
+    fixed[own, -1] = fixed[-1, own] = -known * error
+    fixed[-1, -1] = (known * error**2).sum()
+    return fixed

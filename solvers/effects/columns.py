@@ -1,0 +1,275 @@
+"""The systematic effects: for each what it does to the pose of the sensor, up to unknown coefficients.
+
+An effect is a function of a `Scene`. It returns `Columns`: displacements (m, rad, in the carm frame at the sensor) that
+unit coefficients of independent normal distribution cause, in groups of one variance. The square root of a variance
+is therefore an amplitude: m or rad, and of `smoothing` s².
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from solvers.effects.blocks import Blocks
+from solvers.effects.process import Process, grid
+from solvers.likelihood.linearise import Linearisation, linearise
+from solvers.problem import Problem
+from solvers.se3 import Array
+from solvers.torus import Torus
+
+DEFORMATION_LENGTH = 1.5
+"""Of the deformation over either angle, rad."""
+STEPS = 9
+"""Of a grid over an angle's range."""
+NODES = 120
+"""Places of the sensor by which a function of the place is described."""
+PLAY_RAD = float(np.radians(0.5))
+"""Angle within which a reversal takes up the play."""
+DRIFT_ORDERS, SLIP_ORDERS = 4, 3
+"""Of Legendre's polynomials in time."""
+FASTEST_STEP_S = 0.1
+"""Poses farther apart in time are stops, of which a filter shows nothing."""
+SLOPE_S = 0.5
+"""Time over which an angle's speed is taken."""
+LEAST_SLOPE_POSES = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """What unit coefficients displace, in one frame for all blocks."""
+
+    displacement: Array
+    """(6, m, B)."""
+    kinds: tuple[str, ...]
+    """(m,) which variance each coefficient has: ``position``, ``rotation`` or another one's name."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Where the effects take place: the estimate, block by block."""
+
+    problem: Problem
+    torus: Torus
+    angles: Array
+    """(2, N)."""
+    blocks: Blocks
+    field_length: float
+    """Of functions of the place, m."""
+
+    @cached_property
+    def at(self) -> Array:
+        """(2, B) angles of the blocks."""
+        return self.angles[:, self.blocks.middle]
+
+    @cached_property
+    def range(self) -> tuple[Array, Array]:
+        """(2,) least and greatest angles."""
+        return self.angles.min(axis=1), self.angles.max(axis=1)
+
+    @cached_property
+    def placement(self) -> np.ndarray:
+        """(B,)."""
+        return self.problem.placement[self.blocks.middle]
+
+    @cached_property
+    def poses(self) -> Array:
+        """(B, 4, 4) predicted poses of the sensor in the world."""
+        return self.torus.poses(self.at.T, self.placement)
+
+    @cached_property
+    def R_world_carm(self) -> Array:
+        """(B, 3, 3)."""
+        return self.poses[:, :3, :3] @ self.torus.T_sensor_carm[:3, :3]
+
+    @cached_property
+    def line(self) -> Linearisation:
+        """Of the blocks' middle poses."""
+        return linearise(self.torus, self.at, self.problem.select(self.blocks.middle))
+
+    @cached_property
+    def over_places(self) -> Array:
+        """(K, B) basis of a function of the predicted place of the sensor."""
+        p = self.poses[:, :3, 3]
+        some = np.linspace(0, len(p) - 1, min(len(p), NODES)).astype(int)
+        return Process.over(p[some], self.field_length).basis(p)
+
+    def time(self, here: np.ndarray) -> Array:
+        """Time of some of the blocks, from -1 to 1."""
+        clock = self.problem.time_s
+        t = np.arange(len(here), dtype=float) if clock is None else clock[self.blocks.middle[here]]
+        span = float(np.ptp(t))
+        return 2 * (t - t.min()) / span - 1 if span > 0 else np.zeros(len(t))
+
+
+Effect = Callable[[Scene], Columns | None]
+
+
+def deformation(scene: Scene) -> Columns | None:
+    """The C bends as a smooth function of both angles, of mean zero over their ranges."""
+    process = Process.over(grid(*scene.range, STEPS), DEFORMATION_LENGTH, centred=True)
+    return _six(process.basis(scene.at.T))
+
+
+def gravity(scene: Scene) -> Columns | None:
+    """The C bends in proportion to its weight: linear in the vertical as seen from the C and from its swivel."""
+    basis = statics(scene.at) - statics(grid(*scene.range, STEPS).T).mean(axis=1, keepdims=True)
+    return _six(basis)
+
+
+def field(scene: Scene) -> Columns | None:
+    """The tracker distorts as a smooth function of the place, in its own frame."""
+    basis, R = scene.over_places, scene.R_world_carm
+    turned = np.einsum("kb,bji->ikjb", basis, R)
+    nothing = np.zeros_like(turned)
+    return _columns(np.concatenate([turned, nothing]), np.concatenate([nothing, turned]))
+
+
+def marker(scene: Scene) -> Columns | None:
+    """The orientation is distorted in the sensor's frame as a smooth function of the place."""
+    basis = scene.over_places
+    turned = np.zeros((6, len(basis), 3, basis.shape[1]))
+    for axis in range(3):
+        turned[3 + axis, :, axis] = basis
+    return Columns(turned.reshape(6, -1, basis.shape[1]), ("rotation",) * (3 * len(basis)))
+
+
+def backlash(scene: Scene) -> Columns | None:
+    """Either joint's play, which a reversal takes up."""
+    order = scene.blocks.order
+    basis = np.empty_like(scene.angles)
+    for joint, angle in enumerate(scene.angles):
+        basis[joint, order] = _play(angle[order] / (0.5 * PLAY_RAD))
+    return _six(scene.blocks.mean(basis))
+
+
+def drift(scene: Scene) -> Columns | None:
+    """The base of each placement creeps as a polynomial of time."""
+    columns = []
+    for placement in range(scene.problem.placements):
+        here = np.flatnonzero(scene.placement == placement)
+        waves = _legendre(scene.time(here), DRIFT_ORDERS)
+        moved = np.zeros((6, DRIFT_ORDERS, 6, len(scene.placement)))
+        moved[..., here] = scene.line.by_local[:, None, :6, here] * waves[:, None]
+        columns.append(moved.reshape(6, -1, len(scene.placement)))
+    kinds = ("position",) * 3 + ("rotation",) * 3
+    return Columns(np.concatenate(columns, axis=1), kinds * (DRIFT_ORDERS * len(columns)))
+
+
+def slip(scene: Scene) -> Columns | None:
+    """A held joint does not stay where it is: a polynomial of time in every sweep."""
+    held, columns = scene.problem.held[scene.blocks.middle], []
+    for joint in (0, 1):
+        for sweep in np.unique(held[held[:, joint] >= 0, joint]):
+            here = np.flatnonzero(held[:, joint] == sweep)
+            turned = np.zeros((6, SLIP_ORDERS, len(held)))
+            turned[..., here] = scene.line.by_angle[:, joint, here][:, None] * _legendre(scene.time(here), SLIP_ORDERS)
+            columns.append(turned)
+    return Columns(np.concatenate(columns, axis=1), ("angle",) * (SLIP_ORDERS * len(columns))) if columns else None
+
+
+def smoothing(scene: Scene) -> Columns | None:
+    """The tracker's low pass of the time constant τ: positions lag, and cut corners by ½ τ² of their acceleration.
+
+    The part along the motion is the angles'; what is left is that of their speeds.
+    """
+    speed = _speeds(scene)
+    if not speed.any():
+        return None
+    h = 0.02 / np.abs(speed).max()
+    there, back = (scene.torus.poses((scene.at + s * h * speed).T, scene.placement)[:, :3, 3] for s in (1, -1))
+    acceleration = (there + back - 2 * scene.poses[:, :3, 3]) / h**2
+    moved = np.zeros((6, 1, len(acceleration)))
+    moved[:3, 0] = 0.5 * np.einsum("bji,bj->ib", scene.R_world_carm, acceleration)
+    return Columns(moved, ("time",))
+
+
+def remounting(scene: Scene) -> Columns | None:
+    """The sensor sits differently on the C in every placement, more than the poses within one placement tell."""
+    placements = scene.problem.placements
+    if placements < 2:
+        return None
+    moved = np.zeros((6, placements, 6, len(scene.placement)))
+    mount = scene.line.by_local[:, 8:14]
+    for placement in range(placements):
+        here = scene.placement == placement
+        moved[:, placement][..., here] = mount[..., here]
+    return Columns(moved.reshape(6, -1, len(scene.placement)), (("position",) * 3 + ("rotation",) * 3) * placements)
+
+
+EFFECTS: dict[str, Effect] = {
+    effect.__name__: effect
+    for effect in (deformation, gravity, field, marker, backlash, drift, slip, smoothing, remounting)
+}
+"""By name."""
+
+
+def statics(angles: Array) -> Array:
+    """(8, N) products of 1, cos and sin of both angles (2, N) but for 1: what a vertical that is fixed in the world is
+    made of in the frames of the swivel and of the C."""
+    alpha, beta = ((np.ones_like(a), np.cos(a), np.sin(a)) for a in angles)
+    return np.stack([a * b for a in alpha for b in beta])[1:]
+
+
+def _six(basis: Array) -> Columns:
+    """Every component of a twist in the carm frame as a function of its own."""
+    K, n = basis.shape
+    moved = np.zeros((6, K, 6, n))
+    for axis in range(6):
+        moved[axis, :, axis] = basis
+    return Columns(moved.reshape(6, -1, n), (("position",) * 3 + ("rotation",) * 3) * K)
+
+
+def _columns(position: Array, rotation: Array) -> Columns:
+    """Of displacements (6, K, 3, B) by shifts and by turns."""
+    K, n = position.shape[1], position.shape[3]
+    moved = np.concatenate([position, rotation], axis=2)
+    return Columns(moved.reshape(6, -1, n), (("position",) * 3 + ("rotation",) * 3) * K)
+
+
+def _legendre(time: Array, orders: int) -> Array:
+    """(orders, n) from the first order on, with the variance 1 / k²."""
+    k = np.arange(1, orders + 1)
+    return (np.polynomial.legendre.legvander(time, orders)[:, 1:] / k).T
+
+
+def _play(way: Array) -> Array:
+    """(n,) the play operator: follows ``way`` within -1 and 1."""
+    state, states = 0.0, np.empty(len(way))
+    for k, step in enumerate(np.diff(way, prepend=way[0]).tolist()):
+        state = min(1.0, max(-1.0, state + step))
+        states[k] = state
+    return states
+
+
+def _speeds(scene: Scene) -> Array:
+    """(2, B) of both angles, rad/s, by regression on neighbouring poses; 0 where the poses are stops."""
+    speed, clock = np.zeros_like(scene.at), scene.problem.time_s
+    if clock is None:
+        return speed
+    order, middle = scene.blocks.order, scene.blocks.middle
+    position = np.empty(len(order), dtype=int)
+    position[order] = np.arange(len(order))
+    for here in scene.blocks.stretches:
+        poses = order[here]
+        step = np.median(np.diff(clock[poses])) if len(poses) > LEAST_SLOPE_POSES else np.inf
+        if not 0 < step <= FASTEST_STEP_S:
+            continue
+        reach = min(max(LEAST_SLOPE_POSES, round(0.5 * SLOPE_S / step)), (len(poses) - 1) // 2)
+        inside = np.flatnonzero(np.isin(middle, poses))
+        t = clock[poses] - clock[poses[0]]
+        speed[:, inside] = _slopes(t, scene.angles[:, poses], reach)[:, position[middle[inside]] - here.start]
+    return speed
+
+
+def _slopes(t: Array, x: Array, reach: int) -> Array:
+    """(2, n) slopes of x (2, n) over t (n,) by regression on ``reach`` neighbours on either side."""
+    window = np.ones(2 * reach + 1)
+
+    def total(values: Array) -> Array:
+        return np.convolve(values, window, "same")
+
+    n = total(np.ones_like(t))
+    mean = total(t) / n
+    variance = total(t**2) / n - mean**2
+    return np.stack([(total(t * a) / n - mean * total(a) / n) / variance for a in x])

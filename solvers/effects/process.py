@@ -1,0 +1,57 @@
+"""Smooth random functions of an angle or a place, by the leading eigenfunctions of their covariance."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from solvers.se3 import Array
+
+LEAST_VARIANCE = 1e-4
+"""Share of the greatest eigenvalue below which an eigenfunction is left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Process:
+    """A Gaussian process of variance 1 and squared exponential covariance, k(x, x') = exp(-|x - x'|² / 2 l²).
+
+    Its values are ``basis(x)ᵀ z`` with independent normal z. By the eigenvectors u_j and eigenvalues λ_j of k on the
+    nodes, the basis is φ_j(x) = Σ_i k(x, x_i) u_ij / √λ_j (Nyström). A ``centred`` one has the mean 0 over its nodes.
+    """
+
+    nodes: Array
+    """(M, d)."""
+    length: float
+    """l, in the unit of the nodes."""
+    centred: bool
+    _weights: Array
+    """(M, K) u_ij / √λ_j."""
+
+    @staticmethod
+    def over(nodes: Array, length: float, centred: bool = False) -> "Process":
+        """The process on ``nodes`` (M, d) that fill the domain evenly."""
+        k = _covariance(nodes, nodes, length)
+        if centred:
+            mean = k.mean(axis=0)
+            k = k - mean - mean[:, None] + mean.mean()
+        values, vectors = np.linalg.eigh(k)
+        kept = values > LEAST_VARIANCE * values[-1]
+        return Process(nodes, length, centred, (vectors[:, kept] / np.sqrt(values[kept]))[:, ::-1])
+
+    def basis(self, x: Array) -> Array:
+        """(K, N) values of the eigenfunctions at ``x`` (N, d), those of the greatest variance first."""
+        k = _covariance(x, self.nodes, self.length)
+        if self.centred:
+            own = _covariance(self.nodes, self.nodes, self.length)
+            k = k - k.mean(axis=1, keepdims=True) - own.mean(axis=0) + own.mean()
+        return (k @ self._weights).T
+
+
+def _covariance(a: Array, b: Array, length: float) -> Array:
+    square = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
+    return np.exp(-0.5 * np.maximum(square, 0.0) / length**2)
+
+
+def grid(low: Array, high: Array, steps: int) -> Array:
+    """(steps ** d, d) points that fill the box from ``low`` (d,) to ``high`` (d,) evenly."""
+    axes = np.linspace(low, high, steps).T
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))

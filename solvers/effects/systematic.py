@@ -1,0 +1,149 @@
+"""What an estimate of the chain is worth where the machine bends and the tracker distorts.
+
+The residual r of a block of poses, of which the poses' own angles are eliminated, is
+
+    r = -J x + Σ_g Z_g c_g + e,    c_g ~ N(0, λ_g I),    e_k ~ N(0, d_k I)
+
+with the unknowns x of the chain at its estimate, effects g of `columns` and the noise of kind k, which counts T_k times
+where it lasts. Variances by restricted likelihood (`variance`). Where the data ask for effects the estimate is that of
+all this together, else the maximum-likelihood one with the covariance that the effects give it:
+
+    Cov = C (Σ_k d_k J_kᵀ J_k) C + B Λ Bᵀ,    C = (Jᵀ J)⁻¹,  B = C Jᵀ Z
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from solvers.effects.blocks import Blocks
+from solvers.effects.columns import EFFECTS, Columns, Scene
+from solvers.effects.moments import Moments
+from solvers.effects.variance import Mixed, most_likely
+from solvers.problem import Problem
+from solvers.se3 import Array
+from solvers.torus import Torus
+
+FIELD_LENGTHS = (0.5, 0.3, 0.8)
+"""Of functions of the place, m; the most likely is taken, the others only where the first finds any."""
+OF_PLACE = ("field", "marker")
+ASKED = 0.5
+"""Standard deviations by which an effect must show in the residuals to be estimated."""
+SAME_RHO = 0.03
+"""Change of a correlation that calls for no other round."""
+ROUNDS = 3
+"""In which noise that lasts is told from effects."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """One variance of one effect."""
+
+    effect: str
+    kind: str
+    """``position`` (m), ``rotation`` (rad), ``angle`` (rad) or ``time`` (s²)."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Setting:
+    """What does not depend on the variances."""
+
+    scene: Scene
+    columns: tuple[tuple[str, Columns], ...]
+    groups: tuple[Group, ...]
+    moments: Moments
+
+    @staticmethod
+    def of(scene: Scene, effects: tuple[str, ...]) -> "_Setting":
+        every = [(name, EFFECTS[name](scene)) for name in effects]
+        columns = tuple((name, found) for name, found in every if found is not None)
+        groups = tuple(dict.fromkeys(Group(name, kind) for name, found in columns for kind in found.kinds))
+        return _Setting(scene, columns, groups, _moments(scene.blocks, columns, groups))
+
+
+@dataclass(frozen=True, eq=False)
+class Systematic:
+    """The effects at their most likely variances."""
+
+    setting: _Setting
+    model: Mixed
+    rho: Array
+    """(2,) correlation of the noise of neighbouring blocks, by kind."""
+
+    @property
+    def gain(self) -> float:
+        """In log-likelihood, over no effect at the same noise."""
+        return self.model.log_likelihood - self.model.at(0 * self.model.variance, self.model.noise).log_likelihood
+
+    @property
+    def of_place(self) -> bool:
+        """Whether a function of the place is among the effects."""
+        found = zip(self.setting.groups, self.model.variance, strict=True)
+        return any(group.effect in OF_PLACE and variance > 0 for group, variance in found)
+
+    def refined(self, setting: _Setting) -> "Systematic":
+        """The most likely variances in another setting, from these."""
+        return _climbed(setting, setting.moments.whitened(self.rho, self.model), self.rho)
+
+
+def systematic(
+    problem: Problem,
+    torus: Torus,
+    angles: Array,
+    sigma: tuple[float, float],
+    active: np.ndarray,
+    effects: tuple[str, ...] = tuple(EFFECTS),
+) -> Systematic:
+    """The most likely ``effects`` in the poses of ``problem`` at the estimate ``torus``, ``angles`` (2, N), whose
+    ``active`` (D,) unknowns and noise ``sigma`` (m, rad) are those of the fit."""
+    blocks = Blocks.of(problem, torus, angles, sigma, active)
+    best = _from_nothing(_Setting.of(Scene(problem, torus, angles, blocks, FIELD_LENGTHS[0]), effects))
+    if best.of_place:
+        scenes = (Scene(problem, torus, angles, blocks, length) for length in FIELD_LENGTHS[1:])
+        others = [best.refined(_Setting.of(scene, effects)) for scene in scenes]
+        best = max((best, *others), key=lambda found: found.model.log_likelihood)
+    return best
+
+
+def _from_nothing(setting: _Setting) -> Systematic:
+    """The most likely variances, from no effect and noise that lasts as long as it seems to, or not at all."""
+    moments = setting.moments
+    of_noise = np.arange(len(setting.groups) + 2) >= len(setting.groups)
+    nothing = most_likely(moments.model, of_noise)
+    lasting = moments.correlation(nothing)
+    found = []
+    for rho in [np.zeros(2), lasting] if lasting.any() else [lasting]:
+        start = moments.whitened(rho, nothing)
+        score, information = start.from_nothing()
+        asked = score > ASKED * np.sqrt(information)
+        start = start.at(np.where(asked, score / information, 0.0), start.noise)
+        found.append(_climbed(setting, start, rho))
+    return max(found, key=lambda one: one.model.log_likelihood)
+
+
+def _climbed(setting: _Setting, start: Mixed, rho: Array) -> Systematic:
+    """The most likely variances and correlation of the noise, from given ones."""
+    every = np.ones(len(setting.groups) + 2, dtype=bool)
+    fit = most_likely(start, every)
+    for _ in range(ROUNDS):
+        before, rho = rho, setting.moments.correlation(fit)
+        if np.abs(rho - before).max() < SAME_RHO:
+            break
+        fit = most_likely(setting.moments.whitened(rho, fit), every)
+    return Systematic(setting, fit, rho)
+
+
+def _moments(blocks: Blocks, columns: tuple[tuple[str, Columns], ...], groups: tuple[Group, ...]) -> Moments:
+    """Of the model without any effect so far."""
+    Z = np.concatenate([found.displacement for _, found in columns], axis=1)
+    Z = np.matmul(blocks.whiten.transpose(2, 0, 1), Z.transpose(2, 0, 1)).transpose(1, 2, 0)
+    F = np.concatenate([-blocks.by_unknown[:6], Z, blocks.residual[:6, None]], axis=1)
+    u, width = blocks.by_unknown.shape[1], F.shape[1]
+    read = np.concatenate([-blocks.by_unknown[6:], blocks.residual[6:, None]], axis=1).swapaxes(0, 1).reshape(u + 1, -1)
+    own = np.append(np.arange(u), width - 1)
+    fixed = np.zeros((width, width))
+    fixed[np.ix_(own, own)] = read @ read.T + blocks.fixed
+    group = np.array([groups.index(Group(name, kind)) for name, found in columns for kind in found.kinds])
+    every = np.zeros((2, width, width))
+    model = Mixed(every, fixed, blocks.rows, u, group, np.zeros(len(groups)), np.ones(2))
+    moments = Moments.of([F[:3], F[3:]], blocks.stretch, model)
+    return replace(moments, model=replace(model, moments=moments.every))
