@@ -56,6 +56,26 @@ class Correlation:
 
 
 @dataclass(frozen=True, eq=False)
+class SigmaPart:
+    """What one cause adds to the covariance of the reported quantities."""
+
+    name: str
+    """``noise``, ``correlation`` (that the noise lasts), or one of `solvers.effects.columns.EFFECTS`."""
+    covariance: Covariance
+
+
+@dataclass(frozen=True)
+class EffectFound:
+    """A systematic effect as it shows in the poses."""
+
+    name: str
+    position_m: float
+    """Root mean square displacement of the sensor, m, and"""
+    rotation_rad: float
+    """turn, rad, over the poses."""
+
+
+@dataclass(frozen=True, eq=False)
 class Told:
     """What the motion tells of the offset t: its components along K orthonormal directions of the sensor's frame."""
 
@@ -107,6 +127,10 @@ class Estimate:
     covariance: Covariance | None = None
     correlation: Correlation | None = None
     """How long the noise lasts; the covariance heeds it."""
+    sigma_parts: tuple[SigmaPart, ...] = ()
+    """What the covariance is made of; empty where systematic effects were not looked for."""
+    effects: tuple[EffectFound, ...] = ()
+    """Those that the residuals show."""
     null_direction_sensor: Array | None = None
     """(3,) direction of the offset that the energy leaves undetermined (published gauge only)."""
     unobservable: tuple[str, ...] = ()

@@ -18,6 +18,8 @@ from carm_kin.results.parts import (
     Rejection,
     Residuals,
     Sigma,
+    SigmaPart,
+    SystematicEffect,
     ToldDirection,
     ToldOffset,
 )
@@ -82,6 +84,8 @@ def result_of(
         ),
         refusal=assessment.refusal,
         provenance=provenance,
+        sigma_parts=_sigma_parts(estimate) if ok else (),
+        effects=tuple(SystematicEffect(e.name, e.position_m, e.rotation_rad) for e in estimate.effects) if ok else (),
         angles_rad=assessment.angles,
         told=told,
     )
@@ -159,6 +163,14 @@ def sigma_of(covariance: Covariance | None, placements: int) -> Sigma:
             PlacementSigma(vector(f"torus_center_world[{p}]"), vector(f"angular_axis_world[{p}]"))
             for p in range(placements)
         ),
+    )
+
+
+def _sigma_parts(estimate: Estimate) -> tuple[SigmaPart, ...]:
+    offset = [f"offset_sensor_pivot_{axis}" for axis in "xyz"]
+    return tuple(
+        SigmaPart(part.name, part.covariance.sigma(*offset), float(part.covariance.sigma("major_radius")[0]))
+        for part in estimate.sigma_parts
     )
 
 

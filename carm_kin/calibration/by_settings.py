@@ -6,7 +6,7 @@ from math import radians
 from typing import Any
 
 from carm_kin.calibration.calibrate import calibrate
-from carm_kin.calibration.settings import CHAIN, Settings, only_with_chain
+from carm_kin.calibration.settings import AUTO, CHAIN, Settings, only_with_chain
 from carm_kin.errors import InputError
 from carm_kin.recording.recording import Recording
 from carm_kin.results.result import CalibrationResult
@@ -34,6 +34,8 @@ def two_axes_arguments(recording: Recording, settings: Settings) -> dict[str, An
     """What `carm_kin.calibrate` takes besides the solver. Raises InputError for joints the recording does not have."""
     angular, orbital = settings.joint_names(recording)
     chosen: dict[str, Any] = {"locus": settings.locus, "angular": angular, "orbital": orbital}
+    if settings.systematic != AUTO:
+        chosen["systematic"] = settings.systematic
     if settings.sigma_label_rad is not None:
         chosen["sigma_label_rad"] = settings.sigma_label_rad
     return chosen | settings.noise | dict(settings.options)

@@ -1,6 +1,6 @@
 """From a recording to a result: recording -> problem -> solver -> assessment -> result."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -10,7 +10,7 @@ import solvers
 from carm_kin.calibration.assembly import refused_result, result_of
 from carm_kin.calibration.options import options_of
 from carm_kin.calibration.problem import to_problem
-from carm_kin.calibration.settings import CIRCLE, options_class, solver_for
+from carm_kin.calibration.settings import AUTO, CIRCLE, effects_of, options_class, solver_for
 from carm_kin.errors import InputError
 from carm_kin.recording.duplicates import NotMeasured
 from carm_kin.recording.formats import RecordingLike, as_recording
@@ -21,6 +21,7 @@ from carm_kin.results.provenance import provenance_of
 from carm_kin.results.result import CalibrationResult
 from carm_kin.steps import step
 from carm_kin.typed import check_from_zero
+from solvers.effects.allowed import allowing_for
 from solvers.estimate import Note
 from solvers.problem import Problem
 from solvers.se3 import Array
@@ -45,6 +46,7 @@ def calibrate(
     sigma_t_m: float | None = None,
     sigma_r_rad: float | None = None,
     sigma_label_rad: float | None = None,
+    systematic: str | Sequence[str] = AUTO,
     limits: Limits = Limits(),
     command: str | None = None,
     **options: Any,
@@ -56,6 +58,8 @@ def calibrate(
     ``sigma_t_m`` and ``sigma_r_rad`` give the tracker's noise an axis; by default it is estimated.
     ``sigma_label_rad`` is the standard deviation of the labels of held joints, 0 for exact ones; by default that of
     rounding to their last digit.
+    ``systematic`` errors for which the ± and, by ``kinematic``, the estimate allow: ``auto``, ``none``, or the names of
+    effects (`solvers.effects.columns.EFFECTS`).
     ``options`` are those of the solver. A refusal is a result of status ``refused``, not an exception.
 
     Raises InputError for an unknown solver or option, and where the recording lacks what the solver needs.
@@ -81,6 +85,7 @@ def calibrate(
         name,
         chosen,
         limits,
+        effects_of(systematic),
         provenance_of(recording, command, options.get("seed")),
     )
     return _with_left_out(result, recording, not_measured) if again.any() else result
@@ -93,6 +98,7 @@ def _calibrated(
     name: str,
     options: Any,
     limits: Limits,
+    effects: tuple[str, ...],
     provenance: Provenance,
 ) -> CalibrationResult:
     """The result of the ``kept`` poses (N,) of a recording."""
@@ -122,7 +128,9 @@ def _calibrated(
     except ValueError as error:
         raise InputError(str(error)) from None
     with step("assess the estimate"):
-        assessment = assess(problem, estimate, limits)
+        assessment = assess(problem, estimate, limits, effects)
+    if assessment.systematic is not None:
+        estimate = allowing_for(estimate, problem, assessment.systematic)
     return result_of(recording, problem, estimate, assessment, asdict(options), provenance)
 
 

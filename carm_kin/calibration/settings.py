@@ -4,7 +4,7 @@ The command, a batch, a comparison and `carm_kin.calibrate` take their rules fro
 """
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import radians
 from typing import Any
@@ -23,6 +23,8 @@ CIRCLE = "circle"
 """The locus of a C-arm's pivot."""
 POINT = "point"
 """The locus of a pointer's tip."""
+AUTO = "auto"
+"""All systematic effects that the data ask for."""
 LOCUS_SOLVER = "direct"
 """The solver that takes any locus."""
 
@@ -43,6 +45,25 @@ def solver_for(solver: str | None, locus: str = CIRCLE, urdf: str | None = None)
     if locus != CIRCLE and name != LOCUS_SOLVER:
         raise InputError(f"locus '{locus}' needs the solver '{LOCUS_SOLVER}', not '{name}'")
     return name
+
+
+def effects_of(systematic: str | Sequence[str]) -> tuple[str, ...]:
+    """The names of the effects that are meant by ``auto``, ``none``, or a list of them, as text with commas or not.
+
+    Raises InputError for an effect that there is not.
+    """
+    from solvers.effects.columns import EFFECTS
+
+    if systematic == AUTO:
+        return tuple(EFFECTS)
+    if systematic == "none":
+        return ()
+    names = systematic.split(",") if isinstance(systematic, str) else list(systematic)
+    names = [name.strip() for name in names]
+    for name in names:
+        if name not in EFFECTS:
+            raise InputError(f"systematic: '{name}' is no effect; give auto, none, or some of {', '.join(EFFECTS)}")
+    return tuple(name for name in EFFECTS if name in names)
 
 
 def options_class(solver: str) -> type:
@@ -78,6 +99,8 @@ class Settings:
     """Standard deviation of the labels of held joints; by default that of rounding to their last digit."""
     labels_exact: bool = False
     """Whether these labels are exact."""
+    systematic: str = AUTO
+    """Effects for which the ± allows: auto, none, or names with commas between."""
     cross_validate: int | None = None
     """Number of parts that are predicted by the fit to the others."""
     free: str = "all"
@@ -125,6 +148,9 @@ class Settings:
             check_from_zero(named(key), getattr(self, key))
         if self.cross_validate is not None and self.cross_validate < 2:
             raise InputError(f"{named('cross_validate')} needs at least 2 parts, not {self.cross_validate}")
+        effects_of(self.systematic)
+        if self.systematic != AUTO and (name == CHAIN or self.locus != CIRCLE):
+            raise InputError(f"{named('systematic')}: only a C-arm of two axes has systematic effects")
         options_of(options_class(name), name, self.options)
         if self.urdf is not None:
             from carm_kin.machine.urdf import read_urdf

@@ -7,7 +7,7 @@ from typer.core import TyperCommand
 
 
 class Naming(TyperCommand):
-    """A command in whose help ``{solvers}``, ``{loci}`` and ``{exports}`` stand for their names."""
+    """A command in whose help ``{solvers}``, ``{loci}``, ``{exports}`` and ``{effects}`` stand for their names."""
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         for option in self.params:
@@ -37,4 +37,15 @@ def _exports() -> tuple[str, ...]:
     return EXPORTS.listed()
 
 
-_NAMES: dict[str, Callable[[], tuple[str, ...]]] = {"{solvers}": _solvers, "{loci}": _loci, "{exports}": _exports}
+def _effects() -> tuple[str, ...]:
+    from solvers.effects.columns import EFFECTS
+
+    return tuple(EFFECTS)
+
+
+_NAMES: dict[str, Callable[[], tuple[str, ...]]] = {
+    "{solvers}": _solvers,
+    "{loci}": _loci,
+    "{exports}": _exports,
+    "{effects}": _effects,
+}

@@ -50,6 +50,12 @@ def settings_options(
         _option("--sigma-label-deg", help="Error of the labels of held joints; left out: from their digits."),
     ] = None,
     labels_exact: Annotated[bool | None, _option("--labels-exact", help="The labels of held joints are exact.")] = None,
+    systematic: Annotated[
+        str | None,
+        _option(
+            "--systematic", help="Effects for which the ± allows: auto (by default), none, or {effects}, with commas."
+        ),
+    ] = None,
     option: Annotated[
         list[str] | None, _option("--option", "-O", help="Option of the solver, NAME=VALUE; may be repeated.")
     ] = None,

@@ -72,6 +72,29 @@ class ToldOffset:
     """(3,) the point of the line (or plane) of all possible pivots that is nearest the sensor's origin."""
 
 
+@dataclass(frozen=True, eq=False)
+class SigmaPart:
+    """What one cause adds to the one-sigma values: the squares of the parts add up."""
+
+    cause: str
+    """``noise``, ``correlation`` (that the noise lasts), or a systematic effect."""
+    offset_sensor_pivot_m: Array
+    """(3,)."""
+    major_radius_m: float
+
+
+@dataclass(frozen=True)
+class SystematicEffect:
+    """An effect beside the noise, as it shows in the poses: root mean squares over them."""
+
+    name: str
+    """One of `solvers.effects.columns.EFFECTS`."""
+    position_m: float
+    """Displacement of the sensor."""
+    rotation_rad: float
+    """Its turn."""
+
+
 @dataclass(frozen=True)
 class NoiseLevel:
     """One standard deviation an axis."""

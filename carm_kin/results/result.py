@@ -21,6 +21,8 @@ from carm_kin.results.parts import (
     Provenance,
     Residuals,
     Sigma,
+    SigmaPart,
+    SystematicEffect,
     ToldOffset,
 )
 from carm_kin.results.result_json import (
@@ -87,6 +89,10 @@ class CalibrationResult:
     warnings: tuple[Note, ...]
     refusal: Note | None
     provenance: Provenance
+    sigma_parts: tuple[SigmaPart, ...] = ()
+    """What `sigma` is made of; empty where no systematic effects were looked for."""
+    effects: tuple[SystematicEffect, ...] = ()
+    """Those for which `sigma` allows."""
     angles_rad: Array | None = None
     """(N, 2) alpha and beta of every pose; not written to the file."""
     cross_validation: CrossValidation | None = None

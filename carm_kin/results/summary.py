@@ -9,7 +9,7 @@ from carm_kin.errors import printable
 from carm_kin.recording.intake import Intake
 from carm_kin.results.chain_result import ChainCalibration
 from carm_kin.results.held_out import HeldOut
-from carm_kin.results.parts import ToldOffset
+from carm_kin.results.parts import SigmaPart, ToldOffset
 from solvers.estimate import Note
 from solvers.se3 import Array
 
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 _NAME_WIDTH = 34
 NOT_TOLD, NOT_DETERMINED, FIXED = "not told", "not determined", "deg (fixed)"
+MOST_PARTS, LEAST_PART = 4, 0.1
+"""Of the uncertainty that are named, and the least share of the greatest one."""
 MOST_SIGMA = {"mm": 20.0, "deg": 10.0}
 """A number that is uncertain by more is not determined."""
 
@@ -208,6 +210,7 @@ def _numbers(result: "CalibrationResult") -> list[Row]:
     rows = _told(result.told) if result.told else []
     rows += _vector("offset sensor to rotation centre", result.offset_sensor_pivot_m, sigma.offset_sensor_pivot_m)
     rows += _length("offset off by at most (95%)", result.offset_within_95_m, None)
+    rows += _parts(result.sigma_parts)
     rows += _major_radius(result)
     rows += _length("minor radius", result.minor_radius_m, sigma.minor_radius_m)
     skew = result.axis_non_orthogonality_rad
@@ -225,6 +228,16 @@ def _numbers(result: "CalibrationResult") -> list[Row]:
         rows += _vector("centre in the world", placement.torus_center_world_m, one and one.torus_center_world_m)
         rows += _direction("angular axis in the world", placement.angular_axis_world, one and one.angular_axis_world)
     return rows
+
+
+def _parts(parts: tuple[SigmaPart, ...]) -> list[Row]:
+    """What the uncertainty of the offset is made of: the length of each part, those that count."""
+    lengths = {part.cause: float(np.linalg.norm(part.offset_sensor_pivot_m)) * 1e3 for part in parts}
+    counting = sorted(lengths, key=lambda cause: -lengths[cause])[:MOST_PARTS]
+    counting = [cause for cause in lengths if cause in counting and lengths[cause] > LEAST_PART * max(lengths.values())]
+    if len(counting) < 2:
+        return []
+    return [Row("its ± is made of", ", ".join(f"{cause} {lengths[cause]:.3f}" for cause in counting), unit="mm")]
 
 
 def _told(told: ToldOffset) -> list[Row]:

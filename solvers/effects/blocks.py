@@ -24,6 +24,8 @@ class Blocks:
     number of poses: the variance of white noise is then 1.
     """
 
+    active: np.ndarray
+    """(D,) the unknowns of the chain that are determined."""
     middle: np.ndarray
     """(B,) the pose in the middle of each block."""
     stretch: np.ndarray
@@ -69,6 +71,7 @@ class Blocks:
         absorbed = _means(absorbed, stretches.order, first, count).sum(axis=1)
         by_unknown = _among_all(B, problem, model, middle)[:, _kept(active, model)]
         return Blocks(
+            active=active,
             middle=middle,
             stretch=stretches.number[first],
             first=first,

@@ -53,6 +53,8 @@ class Scene:
     torus: Torus
     angles: Array
     """(2, N)."""
+    sigma: tuple[float, float]
+    """Noise of the fit, m and rad."""
     blocks: Blocks
     field_length: float
     """Of functions of the place, m."""

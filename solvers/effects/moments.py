@@ -37,12 +37,13 @@ class Moments:
         """From the rows (rows, w, B) of each kind, of blocks in contiguous stretches (B,)."""
         same = np.diff(stretch) == 0
         edge = 1.0 - np.append(True, ~same) - np.append(~same, True)
+        every = np.array([_product(F, F) for F in kinds])
         return Moments(
-            every=np.array([_product(F, F) for F in kinds]),
+            every=every,
             edges=np.array([_product(F * edge, F) for F in kinds]),
             lag=np.array([_product(F[..., 1:][..., same], F[..., :-1][..., same]) for F in kinds]),
             followers=same.sum() / len(stretch) * model.rows,
-            model=model,
+            model=replace(model, moments=every),
         )
 
     def whitened(self, rho: Array, at: Mixed) -> Mixed:
@@ -55,7 +56,12 @@ class Moments:
     def correlation(self, fit: Mixed) -> Array:
         """(K,) of neighbours in what ``fit`` leaves; 0 where it is not significant."""
         v = fit.residual
-        rho = np.array([v @ lag @ v / max(v @ every @ v, np.finfo(float).tiny) for lag, every in zip(self.lag, self.every, strict=True)])
+        rho = np.array(
+            [
+                v @ lag @ v / max(v @ every @ v, np.finfo(float).tiny)
+                for lag, every in zip(self.lag, self.every, strict=True)
+            ]
+        )
         rho = rho * self.model.rows / np.maximum(self.followers, 1.0)
         told = rho > SIGNIFICANT / np.sqrt(np.maximum(self.followers, 1.0))
         return np.where(told, np.minimum(rho, MOST), 0.0)

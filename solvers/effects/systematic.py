@@ -11,7 +11,7 @@ all this together, else the maximum-likelihood one with the covariance that the 
     Cov = C (Σ_k d_k J_kᵀ J_k) C + B Λ Bᵀ,    C = (Jᵀ J)⁻¹,  B = C Jᵀ Z
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from solvers.effects.blocks import Blocks
 from solvers.effects.columns import EFFECTS, Columns, Scene
 from solvers.effects.moments import Moments
 from solvers.effects.variance import Mixed, most_likely
+from solvers.estimate import Correlation
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
@@ -28,6 +29,8 @@ FIELD_LENGTHS = (0.5, 0.3, 0.8)
 OF_PLACE = ("field", "marker")
 ASKED = 0.5
 """Standard deviations by which an effect must show in the residuals to be estimated."""
+LEAST_BLOCKS = 20
+"""Fewer poses tell nothing of effects."""
 SAME_RHO = 0.03
 """Change of a correlation that calls for no other round."""
 ROUNDS = 3
@@ -61,6 +64,20 @@ class _Setting:
 
 
 @dataclass(frozen=True, eq=False)
+class Parted:
+    """Henderson's equations of all, and of some of the blocks, in unknowns and coefficients that are scaled."""
+
+    whole: Array
+    """(v, v)."""
+    parts: list[Array]
+    """(v, v) each."""
+    gradients: list[Array]
+    """(v,) each, Fᵀ r of what is left of the rows."""
+    scale: Array
+    """(v,) unknowns per scaled one."""
+
+
+@dataclass(frozen=True, eq=False)
 class Systematic:
     """The effects at their most likely variances."""
 
@@ -80,6 +97,62 @@ class Systematic:
         found = zip(self.setting.groups, self.model.variance, strict=True)
         return any(group.effect in OF_PLACE and variance > 0 for group, variance in found)
 
+    def parted(self, parts: list[np.ndarray]) -> "Parted":
+        """Henderson's equations at the solution, and what each of the ``parts``, blocks by index, adds to them."""
+        blocks, model = self.setting.scene.blocks, self.model
+        F = _rows(blocks, self.setting.columns)
+        F = np.concatenate([F[:, model.index], np.einsum("rwb,w->rb", F, model.residual)[:, None]], axis=1)
+        F = F * np.append(model.scale, 1.0)[:, None]
+        rho, noise = np.repeat(self.rho, 3)[:, None, None], np.repeat(model.noise, 3)[:, None, None]
+        follows = np.append(False, np.diff(blocks.stretch) == 0)
+        before = np.where(follows, np.roll(F, 1, axis=2), 0.0)
+        F = (F - rho * before) / np.sqrt(np.where(follows, 1 - rho**2, 1.0) * noise)
+        sums = [np.matmul(here, here.swapaxes(1, 2)).sum(axis=0) for here in (F[..., part] for part in parts)]
+        return Parted(model.equations, [M[:-1, :-1] for M in sums], [M[:-1, -1] for M in sums], model.scale)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the effects that there are."""
+        found = zip(self.setting.groups, self.model.variance, strict=True)
+        return tuple(dict.fromkeys(group.effect for group, variance in found if variance > 0))
+
+    @property
+    def correlation(self) -> Correlation:
+        """For how many poses the noise lasts, beside the effects."""
+        return Correlation(*np.maximum(self.model.noise * (1 + self.rho) / (1 - self.rho), 1.0).tolist())
+
+    @property
+    def step(self) -> Array:
+        """(a,) from the estimate to the most likely chain, of its active unknowns."""
+        return self.model.solution[: int(self.setting.scene.blocks.active.sum())]
+
+    @property
+    def full_step(self) -> Array:
+        """(D,) the same of all unknowns."""
+        active = self.setting.scene.blocks.active
+        full = np.zeros(len(active))
+        full[active] = self.step
+        return full
+
+    def shares(self, gain: Array) -> dict[str, Array]:
+        """G Z_g λ_g Z_gᵀ Gᵀ (K, K) of every effect, from ``gain`` = G Z (K, m)."""
+        return {
+            name: (gain[:, own] * self.model.variance[self.model.group[own]]) @ gain[:, own].T
+            for name in self.names
+            for own in [self._of(name)]
+        }
+
+    def amplitude(self, name: str) -> tuple[float, float]:
+        """Root mean square displacement of the sensor by an effect, m and rad, as it is predicted."""
+        columns = dict(self.setting.columns)[name]
+        moved = np.einsum("imb,m->ib", columns.displacement, self.model.coefficients[self._of(name)])
+        position, rotation = ((part**2).sum(axis=0).mean() ** 0.5 for part in (moved[:3], moved[3:]))
+        return float(position), float(rotation)
+
+    def _of(self, name: str) -> np.ndarray:
+        """(m,) mask of the columns of an effect."""
+        return np.array([group.effect == name for group in self.setting.groups])[self.model.group]
+
     def refined(self, setting: _Setting) -> "Systematic":
         """The most likely variances in another setting, from these."""
         return _climbed(setting, setting.moments.whitened(self.rho, self.model), self.rho)
@@ -96,9 +169,11 @@ def systematic(
     """The most likely ``effects`` in the poses of ``problem`` at the estimate ``torus``, ``angles`` (2, N), whose
     ``active`` (D,) unknowns and noise ``sigma`` (m, rad) are those of the fit."""
     blocks = Blocks.of(problem, torus, angles, sigma, active)
-    best = _from_nothing(_Setting.of(Scene(problem, torus, angles, blocks, FIELD_LENGTHS[0]), effects))
+    if len(blocks.middle) < LEAST_BLOCKS:
+        effects = ()
+    best = _from_nothing(_Setting.of(Scene(problem, torus, angles, sigma, blocks, FIELD_LENGTHS[0]), effects))
     if best.of_place:
-        scenes = (Scene(problem, torus, angles, blocks, length) for length in FIELD_LENGTHS[1:])
+        scenes = (Scene(problem, torus, angles, sigma, blocks, length) for length in FIELD_LENGTHS[1:])
         others = [best.refined(_Setting.of(scene, effects)) for scene in scenes]
         best = max((best, *others), key=lambda found: found.model.log_likelihood)
     return best
@@ -125,25 +200,31 @@ def _climbed(setting: _Setting, start: Mixed, rho: Array) -> Systematic:
     every = np.ones(len(setting.groups) + 2, dtype=bool)
     fit = most_likely(start, every)
     for _ in range(ROUNDS):
-        before, rho = rho, setting.moments.correlation(fit)
-        if np.abs(rho - before).max() < SAME_RHO:
+        left = setting.moments.correlation(fit)
+        if np.abs(left - rho).max() < SAME_RHO:
             break
-        fit = most_likely(setting.moments.whitened(rho, fit), every)
+        fit, rho = most_likely(setting.moments.whitened(left, fit), every), left
     return Systematic(setting, fit, rho)
+
+
+def _rows(blocks: Blocks, columns: tuple[tuple[str, Columns], ...]) -> Array:
+    """(6, w, B) rows [U Z y] of position and rotation."""
+    if columns:
+        Z = np.concatenate([found.displacement for _, found in columns], axis=1)
+        Z = np.matmul(blocks.whiten.transpose(2, 0, 1), Z.transpose(2, 0, 1)).transpose(1, 2, 0)
+    else:
+        Z = np.zeros((6, 0, len(blocks.middle)))
+    return np.concatenate([-blocks.by_unknown[:6], Z, blocks.residual[:6, None]], axis=1)
 
 
 def _moments(blocks: Blocks, columns: tuple[tuple[str, Columns], ...], groups: tuple[Group, ...]) -> Moments:
     """Of the model without any effect so far."""
-    Z = np.concatenate([found.displacement for _, found in columns], axis=1)
-    Z = np.matmul(blocks.whiten.transpose(2, 0, 1), Z.transpose(2, 0, 1)).transpose(1, 2, 0)
-    F = np.concatenate([-blocks.by_unknown[:6], Z, blocks.residual[:6, None]], axis=1)
+    F = _rows(blocks, columns)
     u, width = blocks.by_unknown.shape[1], F.shape[1]
     read = np.concatenate([-blocks.by_unknown[6:], blocks.residual[6:, None]], axis=1).swapaxes(0, 1).reshape(u + 1, -1)
     own = np.append(np.arange(u), width - 1)
     fixed = np.zeros((width, width))
     fixed[np.ix_(own, own)] = read @ read.T + blocks.fixed
-    group = np.array([groups.index(Group(name, kind)) for name, found in columns for kind in found.kinds])
-    every = np.zeros((2, width, width))
-    model = Mixed(every, fixed, blocks.rows, u, group, np.zeros(len(groups)), np.ones(2))
-    moments = Moments.of([F[:3], F[3:]], blocks.stretch, model)
-    return replace(moments, model=replace(model, moments=moments.every))
+    group = np.array([groups.index(Group(name, kind)) for name, found in columns for kind in found.kinds], dtype=int)
+    model = Mixed(np.zeros((2, width, width)), fixed, blocks.rows, u, group, np.zeros(len(groups)), np.ones(2))
+    return Moments.of([F[:3], F[3:]], blocks.stretch, model)

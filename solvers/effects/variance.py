@@ -59,12 +59,12 @@ class Mixed:
         return self.variance[self.group] > 0
 
     @cached_property
-    def _index(self) -> np.ndarray:
+    def index(self) -> np.ndarray:
         """Positions of U and of the live columns of Z."""
         return np.concatenate([np.arange(self.unknowns), self.unknowns + np.flatnonzero(self._live)])
 
     @cached_property
-    def _scale(self) -> Array:
+    def scale(self) -> Array:
         """Of the unknowns to unit information, of the coefficients to unit variance."""
         information = self._normal_unscaled.diagonal()[: self.unknowns]
         roots = np.sqrt(self.variance[self.group[self._live]])
@@ -75,13 +75,17 @@ class Mixed:
         return np.tensordot(1 / self.noise, self.moments, 1) + self.fixed
 
     @cached_property
-    def _factor(self) -> Array:
-        """Lower Cholesky factor of Henderson's mixed-model equations, scaled."""
-        i, u = self._index, self.unknowns
-        K = self._normal_unscaled[np.ix_(i, i)] * np.outer(self._scale, self._scale)
+    def equations(self) -> Array:
+        """Henderson's mixed-model equations of unknowns and live coefficients, scaled."""
+        i, u = self.index, self.unknowns
+        K = self._normal_unscaled[np.ix_(i, i)] * np.outer(self.scale, self.scale)
         K[np.arange(u), np.arange(u)] += RIDGE
         K[np.arange(u, len(i)), np.arange(u, len(i))] += 1.0
-        return np.linalg.cholesky(K)
+        return K
+
+    @cached_property
+    def _factor(self) -> Array:
+        return np.linalg.cholesky(self.equations)
 
     @cached_property
     def _inverse(self) -> Array:
@@ -92,32 +96,32 @@ class Mixed:
     @cached_property
     def _solution(self) -> Array:
         """Unknowns and coefficients, scaled."""
-        return self._inverse @ (self._scale * self._normal_unscaled[self._index, -1])
+        return self._inverse @ (self.scale * self._normal_unscaled[self.index, -1])
 
     @property
     def solution(self) -> Array:
         """x̂ (u,), the best linear unbiased estimate."""
-        return (self._scale * self._solution)[: self.unknowns]
+        return (self.scale * self._solution)[: self.unknowns]
 
     @property
     def coefficients(self) -> Array:
         """ĉ (m,), the best linear prediction."""
         c = np.zeros(len(self.group))
-        c[self._live] = (self._scale * self._solution)[self.unknowns :]
+        c[self._live] = (self.scale * self._solution)[self.unknowns :]
         return c
 
     @property
     def covariance(self) -> Array:
         """(u + m, u + m) of x̂ - x and ĉ - c."""
         full = np.zeros((self.unknowns + len(self.group),) * 2)
-        full[np.ix_(self._index, self._index)] = self._inverse * np.outer(self._scale, self._scale)
+        full[np.ix_(self.index, self.index)] = self._inverse * np.outer(self.scale, self.scale)
         return full
 
     @cached_property
     def residual(self) -> Array:
         """(w,) coefficients of F that give what is left of y."""
         v = np.zeros(self.moments.shape[-1])
-        v[self._index] = -self._scale * self._solution
+        v[self.index] = -self.scale * self._solution
         v[-1] = 1.0
         return v
 
@@ -131,7 +135,7 @@ class Mixed:
         """Restricted, but for a constant."""
         left = self.residual @ self.fixed @ self.residual
         quadratic = (self._squares / self.noise).sum() + left + (self._solution[self.unknowns :] ** 2).sum()
-        logs = 2 * np.log(np.diagonal(self._factor)).sum() - 2 * np.log(self._scale[: self.unknowns]).sum()
+        logs = 2 * np.log(np.diagonal(self._factor)).sum() - 2 * np.log(self.scale[: self.unknowns]).sum()
         return self.constant - 0.5 * float(logs + (self.rows * np.log(self.noise)).sum() + quadratic)
 
     @cached_property
@@ -143,8 +147,8 @@ class Mixed:
     @cached_property
     def _freedom(self) -> Array:
         """(K,) rows less what unknowns and coefficients take of them."""
-        i = self._index
-        C = self._inverse * np.outer(self._scale, self._scale)
+        i = self.index
+        C = self._inverse * np.outer(self.scale, self.scale)
         taken = np.array([(C * M[np.ix_(i, i)]).sum() for M in self.moments]) / self.noise
         return np.maximum(self.rows - taken, LEAST_FREEDOM)
 
@@ -161,7 +165,7 @@ class Mixed:
         K, width = len(self.noise), self.moments.shape[-1]
         groups = len(self.variance)
         w = np.zeros((groups + K, K + 1, width))
-        live = self._index[self.unknowns :]
+        live = self.index[self.unknowns :]
         c = self.coefficients[self._live]
         w[self.group[self._live], :, live] = c[:, None]
         for k in range(K):
@@ -169,18 +173,18 @@ class Mixed:
         every = np.concatenate([self.moments / self.noise[:, None, None], self.fixed[None]])
         weighted = np.matmul(w.swapaxes(0, 1), every)
         inner = np.einsum("kai,bki->ab", weighted, w, optimize=True)
-        B = weighted.sum(axis=0)[:, self._index] * self._scale
+        B = weighted.sum(axis=0)[:, self.index] * self.scale
         return 0.5 * (inner - B @ self._inverse @ B.T)
 
     def from_nothing(self) -> tuple[Array, Array]:
         """Derivative (G,) of the log-likelihood by λ of the groups that have none, and its variance, were there no
         effect; 0 and 1 for the others."""
         score, information = np.zeros(len(self.variance)), np.ones(len(self.variance))
-        i, K = self._index, self._normal_unscaled
+        i, K = self.index, self._normal_unscaled
         for g in np.flatnonzero(self.variance == 0):
             z = self.unknowns + np.flatnonzero(self.group == g)
-            cross = np.linalg.solve(self._factor, K[np.ix_(i, z)] * self._scale[:, None])
-            Zy = K[z, -1] - K[np.ix_(z, i)] @ (self._scale * self._solution)
+            cross = np.linalg.solve(self._factor, K[np.ix_(i, z)] * self.scale[:, None])
+            Zy = K[z, -1] - K[np.ix_(z, i)] @ (self.scale * self._solution)
             S = K[np.ix_(z, z)] - cross.T @ cross
             score[g], information[g] = 0.5 * (Zy @ Zy - np.trace(S)), 0.5 * (S**2).sum()
         return score, information
@@ -218,9 +222,7 @@ def _climbed(model: Mixed, step: Array, least: Array) -> Mixed:
     groups = len(model.variance)
     before = model.log_likelihood
     for _ in range(6):
-        trial = model.at(
-            model.variance * np.exp(step[:groups]), np.maximum(model.noise * np.exp(step[groups:]), least)
-        )
+        trial = model.at(model.variance * np.exp(step[:groups]), np.maximum(model.noise * np.exp(step[groups:]), least))
         if trial.log_likelihood >= before - 1e-6 * abs(before):
             return trial
         step *= 0.4

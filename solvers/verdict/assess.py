@@ -9,6 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from solvers import kinematic
+from solvers.effects.columns import EFFECTS
+from solvers.effects.systematic import Systematic, systematic
 from solvers.estimate import Correlation, Covariance, Estimate, Note
 from solvers.likelihood.correlation import Stretches, correlation_of
 from solvers.likelihood.covariance import active_unknowns, covariance_of, scaled_spectrum
@@ -58,12 +60,17 @@ class Assessment:
     notes: tuple[Note, ...]
     """What the residuals and the rejected poses show."""
     refusal: Note | None
+    systematic: Systematic | None = None
+    """The effects beside the noise; None where it is refused or has no covariance."""
     left_out: LeftOut | None = None
-    """How the parts of the recording agree; None where it is refused, has no covariance, or too few parts."""
+    """How the parts of the recording agree beside them; None where there are too few parts."""
 
 
-def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> Assessment:
-    """Judge an estimate of ``problem`` by the poses that it used; the rows of the others are NaN."""
+def assess(
+    problem: Problem, estimate: Estimate, limits: Limits = Limits(), effects: tuple[str, ...] = tuple(EFFECTS)
+) -> Assessment:
+    """Judge an estimate of ``problem`` by the poses that it used, and look for systematic ``effects``; the rows of the
+    others are NaN."""
     used = np.ones(len(problem), dtype=bool) if estimate.used is None else estimate.used
     part = problem if estimate.sigma_label is None else replace(problem, sigma_label=estimate.sigma_label)
     part = part if used.all() else part.select(used)
@@ -119,10 +126,9 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
     moved, moved_at = ((bump.note,), None) if bump else ((), moved_at)
     causes = moved if bump and bump.harmful else causes
     fitted = estimate.covariance is not None and not refusal and not causes
-    clean = residual_notes(angles, residual, at.redundancy[0], correlation) if fitted else ()
-    parts = (
-        left_out(torus, angles, part, sigma, active, estimate.covariance) if fitted and estimate.covariance else None
-    )
+    found = systematic(part, torus, angles, sigma, active, effects) if fitted else None
+    correlation = found.correlation if found and found.names else correlation
+    clean = residual_notes(angles, residual, at.redundancy[0], correlation, bool(effects)) if fitted else ()
     return Assessment(
         angles=_spread(angles.T, used),
         position_residual=_spread(residual[:3].T, used),
@@ -135,7 +141,8 @@ def assess(problem: Problem, estimate: Estimate, limits: Limits = Limits()) -> A
         unobservable=unobservable,
         notes=(*_rejections(used, moved_at, limits), *(causes or moved), *clean),
         refusal=_with_causes(refusal, causes, used, limits),
-        left_out=parts,
+        systematic=found,
+        left_out=left_out(found) if found else None,
     )
 
 

@@ -1,28 +1,24 @@
 """Does every part of a recording agree with the rest? Each is left out in turn, by downdating (docs/estimation.md).
 
-A part is a sweep, or where there are none a contiguous eighth of the poses of a base placement. With H the
-information of all poses and H_b, g_b the information and the gradient of part b at the estimate, the estimate without
-the part moves by
+A part is a sweep, or where there are none a contiguous eighth of the poses of a base placement. With K Henderson's
+equations of the chain's unknowns and the effects' coefficients (`solvers.effects.variance`), K_b, g_b the information and
+the gradient of part b at the best estimate, the estimate without the part moves by
 
-    delta_b = (H - H_b)^-1 g_b,    Cov delta_b = (H - H_b)^-1 - H^-1
+    delta_b = (K - K_b)^-1 g_b,    Cov delta_b = (K - K_b)^-1 - K^-1
 
-where the noise is what the fit takes it for and the gradients sum to g = 0; where they do not, since another solver
-made the estimate, it is the moves of one Gauss-Newton step that are compared, ``C g - (H - H_b)^-1 (g - g_b)``. A C
-that sags and a machine that slips move it further; then the jackknife, C_J = (B - 1) / B sum delta_b delta_b', shows
-how far the estimate may be off.
+where noise and effects are what the fit takes them for. A machine that slips and a base that was moved move it further;
+then the jackknife, C_J = (B - 1) / B sum delta_b delta_b', shows how far the estimate may be off.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from solvers.effects.systematic import Systematic
 from solvers.estimate import Covariance, Note
-from solvers.likelihood.covariance import marginal_covariance, reported_jacobian
-from solvers.likelihood.elimination import normal_equations
-from solvers.likelihood.linearise import AngleModel
+from solvers.likelihood.covariance import reported_jacobian
 from solvers.problem import Problem
 from solvers.se3 import Array
-from solvers.torus import Torus
 from solvers.verdict.f_test import f_tail
 
 BLOCKS = 8
@@ -80,19 +76,16 @@ class LeftOut:
         return Covariance(stated.names, stated.matrix + _block(self.covariance, index))
 
 
-def left_out(
-    torus: Torus, angles: Array, problem: Problem, sigma: tuple[float, float], active: np.ndarray, stated: Covariance
-) -> LeftOut | None:
-    """Leave every part out at the estimate ``torus``, ``angles`` (2, N) of the used poses.
-
-    ``active`` (D,) are its unknowns and ``stated`` its covariance. None where there are too few parts, or no noise.
-    """
-    if max(sigma) < EXACT:
+def left_out(found: Systematic) -> LeftOut | None:
+    """Leave every part out beside the effects ``found``. None where there are too few parts, or no noise."""
+    scene = found.setting.scene
+    if max(scene.sigma) < EXACT:
         return None
-    for parts, least in ((sweeps_of(problem), LEAST_SWEEPS), (blocks_of(problem), LEAST_BLOCKS)):
-        found = _moves(torus, angles, problem, sigma, active, stated, parts)
-        if len(found.moves) >= least:
-            return found
+    some = scene.problem.select(scene.blocks.middle)
+    for parts, least in ((sweeps_of(some), LEAST_SWEEPS), (blocks_of(some), LEAST_BLOCKS)):
+        moves = _moves(found, parts)
+        if len(moves.moves) >= least:
+            return moves
     return None
 
 
@@ -113,49 +106,47 @@ def _blocks(problem: Problem, poses: np.ndarray) -> list[np.ndarray]:
     return [block for some in here for block in np.array_split(some, min(BLOCKS, len(some) // LEAST_POSES) or 1)]
 
 
-def _moves(
-    torus: Torus,
-    angles: Array,
-    problem: Problem,
-    sigma: tuple[float, float],
-    active: np.ndarray,
-    stated: Covariance,
-    parts: list[np.ndarray],
-) -> LeftOut:
+def _moves(found: Systematic, parts: list[np.ndarray]) -> LeftOut:
     """The moves without each of the ``parts``, but for one that the rest cannot do without."""
-    J, names = reported_jacobian(torus)
+    J, names = reported_jacobian(found.setting.scene.torus)
     offset = [names.index(f"offset_sensor_pivot_{axis}") for axis in "xyz"]
-    every = [_equations(torus, angles, problem, sigma, poses) for poses in parts]
-    H, total = (np.sum(terms, axis=0) for terms in zip(*every, strict=True))
-    C = marginal_covariance(H, active)
+    equations = found.parted(parts)
+    J = J[:, found.setting.scene.blocks.active]
+    J = np.hstack([J, np.zeros((len(J), equations.whole.shape[1] - J.shape[1]))]) * equations.scale
+    C = np.linalg.inv(equations.whole)
     whole = _block(J @ C @ J.T, offset)
-    inflation = float(np.trace(np.linalg.solve(whole, stated.block("offset")))) / 3
     moves, whitened, information = [], [], []
-    for H_part, gradient in every:
-        without = marginal_covariance(H - H_part, active)
+    for K, gradient in zip(equations.parts, equations.gradients, strict=True):
+        without = _inverse(equations.whole - K)
         values, vectors = np.linalg.eigh(_block(J @ (without - C) @ J.T, offset))
         if values[-1] < MOST_GAIN * np.linalg.eigvalsh(whole)[-1]:
             told = values > 1e-9 * values[-1]
-            whiten = vectors[:, told].T / np.sqrt(values[told] * inflation)[:, None]
-            moves.append(J @ (C @ total - without @ (total - gradient)))
+            whiten = vectors[:, told].T / np.sqrt(values[told])[:, None]
+            moves.append(-J @ without @ gradient)
             whitened.append(whiten @ moves[-1][offset])
-            information.append((whiten @ J[offset] @ without, H_part))
+            information.append((whiten @ J[offset] @ without, K))
     ratio = float(np.mean(np.concatenate(whitened) ** 2)) if whitened else 1.0
     return LeftOut(names, np.array(moves), ratio, f_tail(_freedom(information, C) if moves else 1.0, 1e6, ratio))
+
+
+def _inverse(K: Array) -> Array:
+    """Of what a part may leave without information, which then gets a large variance."""
+    values, vectors = np.linalg.eigh(K)
+    return (vectors / np.maximum(values, 1e-12 * values[-1])) @ vectors.T
 
 
 def _freedom(parts: list[tuple[Array, Array]], C: Array) -> float:
     """Degrees of freedom of the mean square of all whitened moves, by Satterthwaite.
 
-    The gradients of the parts sum to 0: ``Cov g_b = H_b - H_b C H_b`` and ``Cov(g_b, g_c) = -H_b C H_c``.
+    The gradients of the parts have ``Cov g_b = K_b - K_b C K_b`` and ``Cov(g_b, g_c) = -K_b C K_c``.
     """
-    rows = np.concatenate([K @ H for K, H in parts])
+    rows = np.concatenate([W @ K for W, K in parts])
     covariance = -rows @ C @ rows.T
     start = 0
-    for K, H in parts:
-        here = slice(start, start + len(K))
-        covariance[here, here] += K @ H @ K.T
-        start += len(K)
+    for W, K in parts:
+        here = slice(start, start + len(W))
+        covariance[here, here] += W @ K @ W.T
+        start += len(W)
     return float(np.trace(covariance) ** 2 / (covariance**2).sum())
 
 
@@ -164,18 +155,6 @@ def student_95(degrees: float) -> float:
     z, n = 1.959964, degrees
     terms = ((z**3 + z) / 4, (5 * z**5 + 16 * z**3 + 3 * z) / 96, (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384)
     return z + sum(term / n ** (k + 1) for k, term in enumerate(terms))
-
-
-def _equations(
-    torus: Torus, angles: Array, problem: Problem, sigma: tuple[float, float], poses: np.ndarray
-) -> tuple[Array, Array]:
-    """H (D, D) and the gradient (D,) of some of the poses, among the unknowns of all."""
-    part = problem.select(poses)
-    at = normal_equations(torus, angles[:, poses], part, AngleModel.of(part), sigma)
-    index = np.concatenate([np.arange(6 * part.placements), 6 * problem.placements + np.arange(8)])
-    H, g = np.zeros((6 * problem.placements + 8,) * 2), np.zeros(6 * problem.placements + 8)
-    H[np.ix_(index, index)], g[index] = at.H, at.g
-    return H, g
 
 
 def _block(matrix: Array, index: list[int]) -> Array:

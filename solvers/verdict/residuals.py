@@ -21,17 +21,20 @@ LASTING = 1.5
 """Poses from which on the noise does not count as independent."""
 
 
-def residual_notes(angles: Array, residual: Array, redundancy: float, correlation: Correlation) -> tuple[Note, ...]:
+def residual_notes(
+    angles: Array, residual: Array, redundancy: float, correlation: Correlation, allowed_for: bool
+) -> tuple[Note, ...]:
     """Notes on the residuals (6, N) in the carm frame, m and rad, of the poses at ``angles`` (2, N).
 
     ``redundancy`` is the number of position residuals less what the angles absorb, ``correlation`` how long the noise
-    lasts.
+    lasts; systematic effects are ``allowed_for`` in the stated uncertainty, or not.
     """
-    found = *_flex(angles, residual[:3], redundancy), correlated(correlation, residual.shape[1])
+    remark = "allows for it" if allowed_for else "does not cover this"
+    found = *_flex(angles, residual[:3], redundancy, remark), correlated(correlation, residual.shape[1])
     return tuple(note for note in found if note is not None)
 
 
-def _flex(angles: Array, residual: Array, redundancy: float) -> list[Note]:
+def _flex(angles: Array, residual: Array, redundancy: float, remark: str) -> list[Note]:
     """Position residuals that follow an angle, by an F-test on `ORDERS` harmonics in the frame that alpha
     turns and beta does not, in which a sag by gravity and a bending of the C are both of low order."""
     step = -(-residual.shape[1] // MOST_POSES)
@@ -60,7 +63,7 @@ def _flex(angles: Array, residual: Array, redundancy: float) -> list[Note]:
                 Note(
                     f"flex_{name}",
                     f"the position residuals follow {name} with an amplitude of {amplitude * 1e3:.2f} mm: the gantry "
-                    "seems to bend, or the tracker to be biased; the stated uncertainty does not cover this",
+                    f"seems to bend, or the tracker to be biased; the stated uncertainty {remark}",
                 )
             )
     return notes
