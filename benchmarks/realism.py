@@ -148,12 +148,13 @@ def smoothed(p: Array, R: Array, sweep: Array, time_s: float, rate_hz: float = R
 
 
 def _distorted(p: Array, R: Array, effect: Effect, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A smooth random field over the position: a sum of waves."""
+    """A smooth random field over the position, in the tracker's frame: a sum of waves."""
     if not any(effect.field):
         return p, R
     waves = rng.normal(size=(3, 60)) / effect.field_m
     values = np.cos(p @ waves + rng.uniform(0, 2 * np.pi, 60)) @ rng.normal(size=(60, 6)) / np.sqrt(30)
-    return noisy(p, R, effect.field[0] * MM * values[:, :3], effect.field[1] * DEG * values[:, 3:])
+    turn = rotation(effect.field[1] * DEG * values[:, 3:])
+    return p + effect.field[0] * MM * values[:, :3], turn @ R
 
 
 def _sag(machine: Machine, angles: Array, effect: Effect, rng: np.random.Generator) -> Array:

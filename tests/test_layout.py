@@ -23,7 +23,7 @@ GROUND = tuple(f"carm_kin.{name}" for name in ("canvas", "errors", "files", "ste
 PLAN = {
     "carm_kin.__main__": "cli",
     "cli": "carm_kin batches calibrated calibration exports ground machine recording report results simulation streams "
-    "study solvers solvers.loci solvers.se3",
+    "study solvers solvers.effects solvers.loci solvers.se3",
     "carm_kin": "batches calibrated calibration exports ground machine recording report results simulation study",
     "testing": "calibration exports ground recording results solvers solvers.direct solvers.estimate solvers.loci "
     "solvers.problem solvers.se3 solvers.torus",
@@ -36,16 +36,16 @@ PLAN = {
     "exports": "calibration ground machine results solvers.plugins solvers.se3",
     "calibrated": "calibration ground machine recording results solvers.estimate solvers.kinematic solvers.likelihood "
     "solvers.nearest solvers.problem solvers.se3 solvers.still_point solvers.torus solvers.verdict",
-    "calibration": "ground machine recording results solvers solvers.chain solvers.estimate solvers.kinematic "
-    "solvers.likelihood solvers.pivot solvers.plugins solvers.problem solvers.se3 solvers.torus solvers.verdict",
+    "calibration": "ground machine recording results solvers solvers.chain solvers.effects solvers.estimate "
+    "solvers.kinematic solvers.likelihood solvers.pivot solvers.plugins solvers.problem solvers.se3 solvers.torus solvers.verdict",
     "simulation": "ground machine recording results solvers.estimate solvers.problem solvers.se3 solvers.torus",
     "results": "ground recording solvers.estimate solvers.likelihood solvers.se3 solvers.torus",
     "recording": "ground solvers.estimate solvers.plugins solvers.problem solvers.se3",
     "machine": "ground solvers.se3",
     "ground": "",
     "solvers": "solvers.plugins",
-    "solvers.verdict": "solvers.chain solvers.estimate solvers.kinematic solvers.likelihood solvers.pivot "
-    "solvers.problem solvers.se3 solvers.start solvers.told solvers.torus",
+    "solvers.verdict": "solvers.chain solvers.effects solvers.estimate solvers.kinematic solvers.likelihood "
+    "solvers.pivot solvers.problem solvers.se3 solvers.start solvers.told solvers.torus",
     "solvers.chain": "solvers.estimate solvers.kinematic solvers.likelihood solvers.problem solvers.se3 solvers.torus",
     "solvers.kinematic": "solvers.estimate solvers.likelihood solvers.problem solvers.se3 solvers.start solvers.torus",
     "solvers.closed_form": "solvers.estimate solvers.problem solvers.start",
@@ -55,6 +55,7 @@ PLAN = {
     "solvers.surface": "solvers.estimate solvers.likelihood solvers.problem solvers.se3 solvers.torus",
     "solvers.loci": "solvers.estimate solvers.pivot solvers.plugins solvers.problem solvers.se3 solvers.start "
     "solvers.told solvers.torus",
+    "solvers.effects": "solvers.estimate solvers.likelihood solvers.problem solvers.se3 solvers.torus",
     "solvers.start": "solvers.problem solvers.se3 solvers.torus",
     "solvers.pivot": "solvers.likelihood solvers.problem solvers.se3",
     "solvers.told": "solvers.problem solvers.se3",

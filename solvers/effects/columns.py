@@ -152,7 +152,7 @@ def drift(scene: Scene) -> Columns | None:
         here = np.flatnonzero(scene.placement == placement)
         waves = _legendre(scene.time(here), DRIFT_ORDERS)
         moved = np.zeros((6, DRIFT_ORDERS, 6, len(scene.placement)))
-        moved[..., here] = scene.line.by_local[:, None, :6, here] * waves[:, None]
+        moved[..., here] = -scene.line.by_local[:, None, :6, here] * waves[:, None]
         columns.append(moved.reshape(6, -1, len(scene.placement)))
     kinds = ("position",) * 3 + ("rotation",) * 3
     return Columns(np.concatenate(columns, axis=1), kinds * (DRIFT_ORDERS * len(columns)))
@@ -165,7 +165,7 @@ def slip(scene: Scene) -> Columns | None:
         for sweep in np.unique(held[held[:, joint] >= 0, joint]):
             here = np.flatnonzero(held[:, joint] == sweep)
             turned = np.zeros((6, SLIP_ORDERS, len(held)))
-            turned[..., here] = scene.line.by_angle[:, joint, here][:, None] * _legendre(scene.time(here), SLIP_ORDERS)
+            turned[..., here] = -scene.line.by_angle[:, joint, here][:, None] * _legendre(scene.time(here), SLIP_ORDERS)
             columns.append(turned)
     return Columns(np.concatenate(columns, axis=1), ("angle",) * (SLIP_ORDERS * len(columns))) if columns else None
 
@@ -192,7 +192,7 @@ def remounting(scene: Scene) -> Columns | None:
     if placements < 2:
         return None
     moved = np.zeros((6, placements, 6, len(scene.placement)))
-    mount = scene.line.by_local[:, 8:14]
+    mount = -scene.line.by_local[:, 8:14]
     for placement in range(placements):
         here = scene.placement == placement
         moved[:, placement][..., here] = mount[..., here]

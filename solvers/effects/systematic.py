@@ -27,7 +27,7 @@ from solvers.torus import Torus
 FIELD_LENGTHS = (0.5, 0.3, 0.8)
 """Of functions of the place, m; the most likely is taken, the others only where the first finds any."""
 OF_PLACE = ("field", "marker")
-ASKED = 0.5
+ASKED = 1.0
 """Standard deviations by which an effect must show in the residuals to be estimated."""
 LEAST_BLOCKS = 20
 """Fewer poses tell nothing of effects."""

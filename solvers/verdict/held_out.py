@@ -1,8 +1,8 @@
 """Does every part of a recording agree with the rest? Each is left out in turn, by downdating (docs/estimation.md).
 
 A part is a sweep, or where there are none a contiguous eighth of the poses of a base placement. With K Henderson's
-equations of the chain's unknowns and the effects' coefficients (`solvers.effects.variance`), K_b, g_b the information and
-the gradient of part b at the best estimate, the estimate without the part moves by
+equations of the chain's unknowns and the effects' coefficients (`solvers.effects.variance`), K_b, g_b the information
+and the gradient of part b at the best estimate, the estimate without the part moves by
 
     delta_b = (K - K_b)^-1 g_b,    Cov delta_b = (K - K_b)^-1 - K^-1
 

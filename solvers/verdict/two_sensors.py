@@ -21,6 +21,8 @@ LEAST_GAP = 4.2
 of their own apart, as the halves of a sine do."""
 LEAST_BESIDE_M, LEAST_BESIDE_RAD = 0.5e-3, float(np.radians(0.1))
 """No two tools are mounted nearer to each other; groups that are sway with an angle by what bends or has play."""
+LEAST_SEEN = 0.6
+"""Share of it that the poses show: their own angles take away two of its six components."""
 FAR_LESS = 1.6
 """Ratio of the sums of squares without and with two sensors, from which on groups that take turns are told, however
 near: two groups made of noise have 1.2, since they part one of its four directions, by 64%."""
@@ -36,6 +38,8 @@ QUIET = 1e-3
 """Nothing is left if noise alone makes another stretch with this probability."""
 RARE = 1e-5
 """The same between placements, which are known."""
+SHY = 0.01
+"""Weight at which the other poses hold a group's displacement back: poses at one angle do not see all of it."""
 STARTS = 6
 ITERATIONS = 60
 SETTLED = 1e-6
@@ -54,9 +58,10 @@ def two_sensors_of(
         spread, apart = groups
         found = Nuisance.of(rows, problem).displaced(apart)
         few = apart if apart.mean() <= 0.5 else ~apart
-        by_turns = _alternates(apart) and found.lowered > (FAR_LESS - 1) * found.left
+        orders = (np.arange(len(apart)), *np.argsort(angles, axis=1))
+        by_turns = all(_alternates(apart[order]) for order in orders) and found.lowered > (FAR_LESS - 1) * found.left
         shift, turn = found.of_sensor(torus)
-        beside = shift > LEAST_BESIDE_M or turn > LEAST_BESIDE_RAD
+        beside = (shift > LEAST_BESIDE_M or turn > LEAST_BESIDE_RAD) and _seen(rows[..., few], found.delta, sigma)
         if beside and (spread * LEAST_GAP <= 1 or by_turns) and found.probability() < FALSE_ALARM:
             return Note(
                 "two_sensors",
@@ -66,6 +71,14 @@ def two_sensors_of(
             )
     bent = Nuisance.of(rows_of(line, angles, problem, sigma, flex=True), problem)
     return _between_placements(bent, torus) or _for_a_stretch(bent, torus, numbers)
+
+
+def _seen(rows: Array, delta: Array, sigma: tuple[float, float]) -> bool:
+    """Whether the poses of ``rows`` show as much of the displacement as two tools would: it may be great in directions
+    of which they tell nothing."""
+    moved = (np.einsum("rin,i->rn", rows[:, SENSOR], delta) ** 2).reshape(2, 3, -1).sum(axis=1).mean(axis=1)
+    least = np.array([LEAST_BESIDE_M, LEAST_BESIDE_RAD]) * LEAST_SEEN
+    return bool((np.sqrt(moved) * sigma > least).any())
 
 
 def _between_placements(nuisance: Nuisance, torus: Torus) -> Note | None:
@@ -118,6 +131,7 @@ def _groups(rows: Array) -> tuple[float, np.ndarray] | None:
     D, y = np.moveaxis(rows[:, SENSOR], -1, 0), -np.moveaxis(rows[:, -1], -1, 0)
     n, best = len(y), None
     information, pull = np.einsum("nri,nrk->nik", D, D), np.einsum("nri,nr->ni", D, y)
+    every = information.sum(axis=0)
     far = np.argsort(-(y**2).sum(axis=1))
     for k in range(STARTS):
         # a start from the poses whose residuals lie to one side, as those of one with a great residual do
@@ -127,7 +141,10 @@ def _groups(rows: Array) -> tuple[float, np.ndarray] | None:
         for _ in range(ITERATIONS):
             if min(second.sum(), (~second).sum()) < LEAST_POSES:
                 break
-            a, b = (_fit(information[part].sum(axis=0), pull[part].sum(axis=0)) for part in (~second, second))
+            a, b = (
+                _fit(information[part].sum(axis=0) + SHY * part.mean() * every, pull[part].sum(axis=0))
+                for part in (~second, second)
+            )
             between, rest = D @ (b - a), y - D @ a
             new = np.einsum("nr,nr->n", between, rest - 0.5 * between) > 0
             if (new == second).all():
@@ -143,7 +160,7 @@ def _groups(rows: Array) -> tuple[float, np.ndarray] | None:
 
 
 def _alternates(second: np.ndarray) -> bool:
-    """Whether the groups (n,) take turns half as often as by chance, as no function of time or of an angle does."""
+    """Whether the groups (n,) take turns half as often as by chance, as no function of what orders them does."""
     share = second.mean()
     return bool((second[1:] != second[:-1]).mean() > share * (1 - share))
 

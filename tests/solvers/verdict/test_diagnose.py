@@ -250,7 +250,7 @@ def test_the_correlation_is_that_of_neighbours_in_a_sweep():
     assert neighbour_correlation(given, noise[:, 1:] + noise[:, :-1]) == pytest.approx(0.5, abs=0.04)
     alternating = replace(given, placement=np.arange(4000) % 2)
     assert neighbour_correlation(alternating, noise[:, 1:] + noise[:, :-1]) == 0
-    assert residual_notes(rng.uniform(size=(2, 4000)), 1e-9 * noise[:, 1:], 8000, Correlation()) == ()
+    assert residual_notes(rng.uniform(size=(2, 4000)), 1e-9 * noise[:, 1:], 8000, Correlation(), True) == ()
 
 
 def test_limits_decide_what_is_accepted():

@@ -11,6 +11,7 @@ from carm_kin.recording.recording import Recording
 from helpers.command import run
 from helpers.simulated import machine, problem, sweeps_deg
 from solvers import kinematic
+from solvers.effects.systematic import systematic
 from solvers.kinematic import Options
 from solvers.likelihood.covariance import active_unknowns
 from solvers.verdict.held_out import blocks_of, left_out, student_95, sweeps_of
@@ -42,7 +43,8 @@ def moves_of(data):
     estimate = kinematic.solve(data, Options(reject_outliers=False))
     active = active_unknowns(data, estimate.torus.non_orthogonality == 0.0)
     sigma = estimate.sigma_t, estimate.sigma_r
-    return estimate, left_out(estimate.torus, estimate.angles.T, data, sigma, active, estimate.covariance)
+    found = systematic(data, estimate.torus, estimate.angles.T, sigma, active, effects=())
+    return estimate, left_out(found)
 
 
 def offset_sigma(covariance):
@@ -98,17 +100,17 @@ def test_a_doubtful_result_says_so(tmp_path, capsys):
     sweep = np.array([str(k) for k in data.held.max(axis=1)])
     moving = np.where(data.held[:, 0] >= 0, "orbital", "angular")
     recording = Recording(data.p_world_sensor, data.R_world_sensor, sweep=sweep, moving=moving)
-    result = carm_kin.calibrate(recording)
+    result = carm_kin.calibrate(recording, systematic="none")
     assert (result.status, result.refusal) == ("doubtful", None)
     assert "parts_disagree" in {note.code for note in result.warnings}
     assert np.abs(result.offset_sensor_pivot_m - truth.T_sensor_carm[:3, 3]).max() < 3e-3
     result.to_json(tmp_path / "result.json")
     assert carm_kin.read_result(tmp_path / "result.json").to_json() == result.to_json()
     carm_kin.write_recording(recording, tmp_path / "rec.csv")
-    ended = run(capsys, "calibrate", tmp_path / "rec.csv")
+    ended = run(capsys, "calibrate", tmp_path / "rec.csv", "--systematic", "none")
     assert ended.status == 3
     assert ended.out.startswith("doubtful: ")
     assert ended.err.splitlines()[-1].startswith("doubtful: the parts of the recording disagree")
-    ended = run(capsys, "batch", tmp_path / "rec.csv", "-o", tmp_path / "out", "--jobs", 1)
+    ended = run(capsys, "batch", tmp_path / "rec.csv", "-o", tmp_path / "out", "--jobs", 1, "--systematic", "none")
     assert ended.status == 3
     assert [path.name for path in (tmp_path / "out" / "doubtful").iterdir()] == ["rec.json"]
