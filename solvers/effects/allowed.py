@@ -73,7 +73,7 @@ def _moved(estimate: Estimate, torus: Torus, problem: Problem, found: Systematic
     angles = angles + at.angle_step(np.zeros(len(at.g)))
     kept = {name: getattr(estimate, name) for name in KEPT}
     moved = Estimate.of_torus(estimate.solver, there, angles=angles.T, correlation=found.correlation, **kept)
-    return _with_parts(moved, found, Covariance(names, sum(parts.values())), parts)
+    return _with_parts(moved, found, Covariance(names, np.sum([*parts.values()], axis=0)), parts)
 
 
 KEPT = ("sigma_t", "sigma_r", "sigma_label", "used", "iterations", "converged", "notes")

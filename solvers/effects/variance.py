@@ -24,6 +24,8 @@ DAMPING = 0.05
 SETTLED = 0.02
 """Gain in log-likelihood below which a step is the last."""
 MOST_STEPS = 25
+ROUNDING = 1e-6
+"""Of a log-likelihood, relative."""
 SMALL = 48
 """Size up to which a triangular matrix is inverted as a whole."""
 NOTHING = 0.02
@@ -91,7 +93,7 @@ class Mixed:
     def _inverse(self) -> Array:
         """Of the scaled equations."""
         L = _lower_inverse(self._factor)
-        return L.T @ L
+        return np.asarray(L.T @ L, dtype=float)
 
     @cached_property
     def _solution(self) -> Array:
@@ -142,7 +144,7 @@ class Mixed:
     def told(self) -> Array:
         """(G,) of how many coefficients of each group the data tell (MacKay's γ)."""
         own = 1 - np.diagonal(self._inverse)[self.unknowns :]
-        return np.bincount(self.group[self._live], own, len(self.variance))
+        return np.bincount(self.group[self._live], own, len(self.variance)).astype(float)
 
     @cached_property
     def _freedom(self) -> Array:
@@ -218,22 +220,21 @@ def most_likely(model: Mixed, free: np.ndarray) -> Mixed:
 
 
 def _climbed(model: Mixed, step: Array, least: Array) -> Mixed:
-    """The model after the ``step`` of the logarithms, halved while it does not climb."""
+    """The model after the ``step`` of the logarithms, shortened until it climbs; as it is where none does."""
     groups = len(model.variance)
-    before = model.log_likelihood
-    for _ in range(6):
-        trial = model.at(model.variance * np.exp(step[:groups]), np.maximum(model.noise * np.exp(step[groups:]), least))
-        if trial.log_likelihood >= before - 1e-6 * abs(before):
+    for shorter in (1.0, 0.4, 0.16, 0.06, 0.02):
+        by = np.exp(shorter * step)
+        trial = model.at(model.variance * by[:groups], np.maximum(model.noise * by[groups:], least))
+        if trial.log_likelihood >= model.log_likelihood - ROUNDING * abs(model.log_likelihood):
             return trial
-        step *= 0.4
-    return trial
+    return model
 
 
 def _lower_inverse(L: Array) -> Array:
     """Inverse of a lower triangular matrix, by halves."""
     n = len(L)
     if n <= SMALL:
-        return np.linalg.inv(L)
+        return np.asarray(np.linalg.inv(L), dtype=float)
     h = n // 2
     inverse = np.zeros_like(L)
     inverse[:h, :h], inverse[h:, h:] = _lower_inverse(L[:h, :h]), _lower_inverse(L[h:, h:])

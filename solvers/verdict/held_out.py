@@ -113,7 +113,7 @@ def _moves(found: Systematic, parts: list[np.ndarray]) -> LeftOut:
     equations = found.parted(parts)
     J = J[:, found.setting.scene.blocks.active]
     J = np.hstack([J, np.zeros((len(J), equations.whole.shape[1] - J.shape[1]))]) * equations.scale
-    C = np.linalg.inv(equations.whole)
+    C = _inverse(equations.whole)
     whole = _block(J @ C @ J.T, offset)
     moves, whitened, information = [], [], []
     for K, gradient in zip(equations.parts, equations.gradients, strict=True):
