@@ -87,7 +87,7 @@ class Mixed:
 
     @cached_property
     def _factor(self) -> Array:
-        return np.linalg.cholesky(self.equations)
+        return np.asarray(np.linalg.cholesky(self.equations), dtype=float)
 
     @cached_property
     def _inverse(self) -> Array:
