@@ -101,7 +101,7 @@ def recorded(scene: Scene, urdf: UrdfFile, seed: int) -> tuple[Array, Array, Arr
     truth = chain_of(patch_origins(urdf, {j.name: displaced(j.origin, rng) for j in urdf.joints}), peers_chain.TOOL)
     q, fresh = (rng.uniform(-RANGE, RANGE, (n, 6)) for n in (scene.poses, HELD_OUT))
     T = base @ truth.forward_kinematics(q)
-    p, R, _ = disturbed(T, Noise(SIGMA_T, SIGMA_R, scene.outliers), rng)
+    p, R, _ = disturbed(T, Noise(SIGMA_T, SIGMA_R, outliers=scene.outliers), rng)
     readings = q + scene.sigma_reading * rng.normal(size=q.shape)
     return readings, transform(R, p), fresh, base @ truth.forward_kinematics(fresh)
 

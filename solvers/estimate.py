@@ -1,9 +1,10 @@
 """What a solver returns."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from solvers.problem import NoiseShape, Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
 
@@ -118,6 +119,8 @@ class Estimate:
     """Position noise an axis, m, as estimated or given."""
     sigma_r: float | None = None
     """Orientation noise an axis, rad, as estimated or given."""
+    shape: NoiseShape | None = None
+    """How the noise differs by the tracker's axes; None: it does not."""
     used: np.ndarray | None = None
     """(N,) which poses had a say; None: all."""
     sigma_label: Array | None = None
@@ -140,6 +143,11 @@ class Estimate:
     iterations: int = 0
     converged: bool = True
     notes: tuple[Note, ...] = field(default=())
+
+    def weighed(self, problem: Problem) -> Problem:
+        """The problem with the noise of poses and labels as the solver took it."""
+        labelled = problem if self.sigma_label is None else replace(problem, sigma_label=self.sigma_label)
+        return labelled if self.shape is None else replace(labelled, shape=self.shape)
 
     @staticmethod
     def of_torus(solver: str, torus: Torus, **more) -> "Estimate":

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from solvers.estimate import MEANINGLESS_RAD, Correlation, Estimate, Note
+from solvers.likelihood.anisotropy import noise_shape
 from solvers.likelihood.correlation import Stretches, correlation_of, with_correlation
 from solvers.likelihood.covariance import active_unknowns, covariance_of, marginal_covariance
 from solvers.likelihood.elimination import Reduced, normal_equations
@@ -63,12 +64,34 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
     used = np.ones(len(problem), dtype=bool)
     if options.reject_outliers:
         used = robust.inliers(problem, options.seed)
-    estimate = _from_coarse(problem, used, options, bool(options.fix_non_orthogonality))
+    estimate = _shaped(problem, _from_coarse(problem, used, options, bool(options.fix_non_orthogonality)), options)
     sigma = _sigma_of_epsilon(estimate)
     if options.fix_non_orthogonality is None and sigma > options.max_non_orthogonality_sigma_rad:
-        fixed = _from_coarse(problem, used, options, True)
+        shaped = replace(problem, shape=estimate.shape)
+        fixed = _from_coarse(shaped, used, options, True)
         return replace(fixed, notes=(*fixed.notes, _fixed(sigma)))
     return estimate
+
+
+def _shaped(problem: Problem, estimate: Estimate, options: Options) -> Estimate:
+    """The estimate with noise that differs by the tracker's axes where the residuals show that it does."""
+    found, used = _parts_of(estimate), estimate.used
+    if problem.sigma_t is not None or problem.sigma_r is not None or found is None or used is None:
+        return estimate
+    torus, angles, sigma = found
+    shape = noise_shape(torus, angles, problem, sigma, used, (estimate.correlation or Correlation()).longest)
+    if shape is None:
+        return estimate
+    fixed = torus.non_orthogonality == 0.0
+    again = _weighing_labels(replace(problem, shape=shape), torus, options, fixed, used, sigma)
+    return again if again.converged else estimate
+
+
+def _parts_of(estimate: Estimate) -> tuple[Torus, Array, tuple[float, float]] | None:
+    """Chain, angles (2, N) and noise (m, rad) of an estimate that has them."""
+    if not (estimate.torus and estimate.sigma_t and estimate.sigma_r) or estimate.angles is None:
+        return None
+    return estimate.torus, estimate.angles.T, (estimate.sigma_t, estimate.sigma_r)
 
 
 def _fixed(sigma: float) -> Note:
@@ -178,6 +201,7 @@ def refine(
     return Estimate.of_torus(
         "kinematic",
         torus,
+        shape=problem.shape,
         angles=angles.T,
         sigma_t=sigma[0],
         sigma_r=sigma[1],

@@ -12,6 +12,19 @@ ANGULAR, ORBITAL = 0, 1
 
 
 @dataclass(frozen=True, eq=False)
+class NoiseShape:
+    """Covariances of the noise in the tracker's frame, over `Problem.sigma_t` and `Problem.sigma_r` squared.
+
+    Their traces are 3, so that these are root mean squares over the axes.
+    """
+
+    position: Array
+    """(3, 3)."""
+    rotation: Array
+    """(3, 3) of turns about the tracker's axes."""
+
+
+@dataclass(frozen=True, eq=False)
 class Problem:
     """N poses of the sensor in the world, in metres and radians. Nothing is ever modified."""
 
@@ -40,6 +53,8 @@ class Problem:
     scale: Array | None = None
     """(2, N) noise of each position and orientation over `sigma_t` and `sigma_r`, which are then root mean squares;
     None: 1. `kinematic` heeds it."""
+    shape: NoiseShape | None = None
+    """None: the noise is isotropic. `kinematic` estimates it."""
     time_s: Array | None = None
     """(N,) when each pose was taken, s; None: the poses stand in the order of time."""
 

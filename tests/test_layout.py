@@ -63,7 +63,7 @@ PLAN = {
     "solvers.still_point": "solvers.likelihood solvers.problem solvers.se3",
     "solvers.nearest": "solvers.problem solvers.se3 solvers.torus",
     "solvers.likelihood": "solvers.estimate solvers.problem solvers.se3 solvers.torus",
-    "solvers.estimate": "solvers.se3 solvers.torus",
+    "solvers.estimate": "solvers.problem solvers.se3 solvers.torus",
     "solvers.torus": "solvers.problem solvers.se3",
     "solvers.problem": "solvers.se3",
     "solvers.plugins": "",

@@ -9,6 +9,7 @@ from carm_kin.calibration.problem import to_problem
 from carm_kin.recording.ingest_checks import contradicted
 from carm_kin.recording.recording import Recording
 from carm_kin.results.parts import (
+    NoiseAxes,
     NoiseLevel,
     Observability,
     Outliers,
@@ -25,7 +26,7 @@ from carm_kin.results.parts import (
 )
 from carm_kin.results.result import CalibrationResult
 from solvers.estimate import Correlation, Covariance, Estimate, Note, Told
-from solvers.problem import Problem
+from solvers.problem import NoiseShape, Problem
 from solvers.se3 import Array
 from solvers.verdict.assess import Assessment
 
@@ -65,6 +66,7 @@ def result_of(
             None in (problem.sigma_t, problem.sigma_r),
             assessment.correlation,
             int(used.sum()),
+            estimate.shape,
         ),
         residuals=_residuals("overall", assessment, slice(None), assessment.chi2_per_dof),
         residuals_per_sweep=_residuals_per_sweep(recording, assessment),
@@ -103,13 +105,23 @@ def told_offset(told: Told) -> ToldOffset:
 
 
 def noise_level(
-    sigma: tuple[float, float | None], estimated: bool, correlation: Correlation | None, used: int
+    sigma: tuple[float, float | None],
+    estimated: bool,
+    correlation: Correlation | None,
+    used: int,
+    shape: NoiseShape | None = None,
 ) -> NoiseLevel:
-    """Both noises, m and rad, with their ``correlation`` over the ``used`` poses."""
+    """Both noises, m and rad, with their ``correlation`` over the ``used`` poses, and their ``shape``."""
     if correlation is None:
         return NoiseLevel(*sigma, estimated)
     rotation = None if sigma[1] is None else correlation.rotation
-    return NoiseLevel(*sigma, estimated, correlation.position, rotation, used / correlation.longest)
+    axes = None if shape is None or sigma[1] is None else _noise_axes((sigma[0], sigma[1]), shape)
+    return NoiseLevel(*sigma, estimated, correlation.position, rotation, used / correlation.longest, axes)
+
+
+def _noise_axes(sigma: tuple[float, float], shape: NoiseShape) -> NoiseAxes:
+    (shift, along), (turn, about) = np.linalg.eigh(shape.position), np.linalg.eigh(shape.rotation)
+    return NoiseAxes(sigma[0] * np.sqrt(shift), tuple(along.T), sigma[1] * np.sqrt(turn), tuple(about.T))
 
 
 def _outliers(recording: Recording, used: np.ndarray) -> Outliers:

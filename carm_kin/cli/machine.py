@@ -64,6 +64,9 @@ def simulate(
     ] = "clinical",
     sigma_t_mm: Annotated[float, typer.Option(min=0, help="Position noise, one sigma an axis.")] = 0.0,
     sigma_r_deg: Annotated[float, typer.Option(min=0, help="Orientation noise, one sigma an axis.")] = 0.0,
+    depth_ratio: Annotated[
+        float, typer.Option(min=0.01, help="Noise along the tracker's line of sight (z) over that across it.")
+    ] = 1.0,
     outliers: Annotated[float, typer.Option(help="Share of gross outliers, 0 to 1.")] = 0.0,
     missing: Annotated[float, typer.Option(help="Share of missing frames, 0 to 1.")] = 0.0,
     sigma_reading_deg: Annotated[float, typer.Option(min=0, help="Error of the angles that are recorded.")] = 0.0,
@@ -85,6 +88,7 @@ def simulate(
         protocol,
         sigma_t_m=sigma_t_mm / 1000,
         sigma_r_rad=radians(sigma_r_deg),
+        depth_ratio=depth_ratio,
         outliers=outliers,
         missing=missing,
         sigma_reading_rad=radians(sigma_reading_deg),

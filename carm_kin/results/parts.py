@@ -95,9 +95,23 @@ class SystematicEffect:
     """Its turn."""
 
 
+@dataclass(frozen=True, eq=False)
+class NoiseAxes:
+    """The tracker's axes of least and most noise: one standard deviation along each."""
+
+    translation_m: Array
+    """(3,) least first, along"""
+    translation_axes_world: tuple[Array, ...]
+    """(3,) each, unit."""
+    rotation_rad: Array
+    """(3,) of turns about"""
+    rotation_axes_world: tuple[Array, ...]
+    """(3,) each, unit."""
+
+
 @dataclass(frozen=True)
 class NoiseLevel:
-    """One standard deviation an axis."""
+    """One standard deviation an axis, root mean square over the axes."""
 
     translation_m: float | None
     rotation_rad: float | None
@@ -107,6 +121,8 @@ class NoiseLevel:
     rotation_correlation_poses: float | None = None
     effective_poses: float | None = None
     """The used poses over the longer of both: so many independent ones would tell as much."""
+    axes: NoiseAxes | None = None
+    """None where the noise is the same along all axes."""
 
 
 @dataclass(frozen=True)

@@ -273,6 +273,10 @@ def _quality(result: "CalibrationResult") -> list[Row]:
     level = _both(noise.translation_m, noise.rotation_rad)
     kind = "estimated" if noise.estimated else "given"
     rows = [Row("residuals, rms", rms), Row(f"noise an axis, {kind}", level)]
+    if noise.axes is not None:
+        shifts, turns = noise.axes.translation_m * 1e3, np.degrees(noise.axes.rotation_rad)
+        words = [", ".join(f"{x:.3f}" for x in values) for values in (shifts, turns)]
+        rows.append(Row("along the tracker's axes", f"{words[0]} mm; {words[1]} deg"))
     if noise.effective_poses is not None and round(noise.effective_poses) < result.used:
         lasts = f"{result.used / noise.effective_poses:.1f} poses: {noise.effective_poses:.0f} of {result.used} count"
         rows.append(Row("noise correlated over", lasts))

@@ -9,6 +9,8 @@ from solvers.se3 import Array, exp_so3, rotation_from_quat_wxyz
 
 OUTLIER_M = (0.05, 0.5)
 """A gross outlier lies off by a distance between these and has a random orientation."""
+MAX_RATIO = 100.0
+"""Greatest ratio of the noise along two axes."""
 MAX_SIGMA_M = 10.0
 """Larger noise is taken for a wrong unit."""
 
@@ -21,6 +23,9 @@ class Noise:
     """Position noise, one standard deviation an axis."""
     sigma_r_rad: float = 0.0
     """Orientation noise: a rotation vector in the sensor frame, one standard deviation an axis."""
+    depth_ratio: float = 1.0
+    """Noise along the tracker's z axis, its line of sight, over that across it; turns about z are as much surer. The
+    sigmas are then root mean squares over the axes."""
     outliers: float = 0.0
     """Share of poses that are replaced by gross outliers."""
     missing: float = 0.0
@@ -45,14 +50,19 @@ def checked(noise: Noise) -> Noise:
     ):
         if not 0 <= (sigma := getattr(noise, name)) <= most:
             raise InputError(f"{name} must be from 0 to {most:.3g}, not {sigma}")
+    if not 1 / MAX_RATIO <= noise.depth_ratio <= MAX_RATIO:
+        raise InputError(f"depth_ratio must be from {1 / MAX_RATIO:g} to {MAX_RATIO:g}, not {noise.depth_ratio}")
     return noise
 
 
 def disturbed(T: Array, noise: Noise, rng: np.random.Generator) -> tuple[Array, Array, np.ndarray]:
     """p (N, 3), R (N, 3, 3) of the poses T (N, 4, 4) with noise, and the mask (N,) of those that were replaced."""
     n = len(T)
-    p = T[:, :3, 3] + noise.sigma_t_m * rng.normal(size=(n, 3))
-    R = T[:, :3, :3] @ exp_so3(noise.sigma_r_rad * rng.normal(size=(n, 3)))
+    shift, turn = noise.sigma_t_m * rng.normal(size=(n, 3)), noise.sigma_r_rad * rng.normal(size=(n, 3))
+    if noise.depth_ratio != 1:
+        shift, turn = shift * _unit_rms(1, 1, noise.depth_ratio), turn * _unit_rms(1, 1, 1 / noise.depth_ratio)
+        turn = np.einsum("nji,nj->ni", T[:, :3, :3], turn)
+    p, R = T[:, :3, 3] + shift, T[:, :3, :3] @ exp_so3(turn)
     replaced = np.zeros(n, dtype=bool)
     replaced[rng.permutation(n)[: round(noise.outliers * n)]] = True
     k = int(replaced.sum())
@@ -60,6 +70,10 @@ def disturbed(T: Array, noise: Noise, rng: np.random.Generator) -> tuple[Array, 
     p[replaced] += direction / np.linalg.norm(direction, axis=1, keepdims=True) * rng.uniform(*OUTLIER_M, size=(k, 1))
     R[replaced] = rotation_from_quat_wxyz(rng.normal(size=(k, 4)))
     return p, R, replaced
+
+
+def _unit_rms(*axes: float) -> Array:
+    return np.array(axes) / np.sqrt(np.mean(np.square(axes)))
 
 
 def readings(values: Array, sigma: float, rng: np.random.Generator) -> Array:

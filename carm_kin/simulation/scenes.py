@@ -84,7 +84,7 @@ def observed(
 ) -> tuple[Problem, np.ndarray]:
     """The recording with its noise, and the mask (N,) of the poses replaced by gross outliers."""
     T = torus.poses(motion.angles, motion.placement)
-    p, R, gross = disturbed(T, Noise(sigma_t, sigma_r, outliers), rng)
+    p, R, gross = disturbed(T, Noise(sigma_t, sigma_r, outliers=outliers), rng)
     return Problem(p, R, motion.placement, motion.held, motion.label), gross
 
 

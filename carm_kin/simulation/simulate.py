@@ -30,6 +30,7 @@ def simulate(
     *,
     sigma_t_m: float = 0.0,
     sigma_r_rad: float = 0.0,
+    depth_ratio: float = 1.0,
     outliers: float = 0.0,
     missing: float = 0.0,
     sigma_reading_rad: float = 0.0,
@@ -45,11 +46,12 @@ def simulate(
     """A recording of the C-arm in ``urdf`` (a path or a bundled name) and its truth.
 
     ``protocol`` is paper, clinical, minimal, free, joints, virtual or a TOML file. ``T_world_torus`` (4, 4), m,
-    is drawn from the seed unless given. ``T_sensor_mount`` (4, 4) turns and moves the sensor in its link. Without
-    ``labels`` the recording tells nothing of the joints. The truth is a result of the solver ``truth``,
-    whose outliers are the poses that were replaced. Raises InputError for bad input.
+    is drawn from the seed unless given. ``T_sensor_mount`` (4, 4) turns and moves the sensor in its link.
+    ``depth_ratio`` is the noise along the tracker's z axis over that across it. Without ``labels`` the recording tells
+    nothing of the joints. The truth is a result of the solver ``truth``, whose outliers are the poses that were
+    replaced. Raises InputError for bad input.
     """
-    noise = checked(Noise(sigma_t_m, sigma_r_rad, outliers, missing, sigma_reading_rad, sigma_reading_m))
+    noise = checked(Noise(sigma_t_m, sigma_r_rad, depth_ratio, outliers, missing, sigma_reading_rad, sigma_reading_m))
     if seed < 0:
         raise InputError(f"the seed must be at least 0, not {seed}")
     for name, T in (("T_world_torus", T_world_torus), ("T_sensor_mount", T_sensor_mount)):

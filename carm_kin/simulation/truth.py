@@ -35,6 +35,7 @@ def truth_of(
         status="ok",
         solver="truth",
         options={
+            "depth_ratio": noise.depth_ratio,
             "outliers": noise.outliers,
             "missing": noise.missing,
             "sigma_reading_rad": noise.sigma_reading_rad,

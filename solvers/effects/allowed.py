@@ -67,16 +67,16 @@ def _moved(estimate: Estimate, torus: Torus, problem: Problem, found: Systematic
     parts = {"noise": white, "correlation": lasting, **shares}
     used = np.ones(len(problem), dtype=bool) if estimate.used is None else estimate.used
     sigma = (estimate.sigma_t or 0.0, estimate.sigma_r or 0.0)
-    labelled = problem if estimate.sigma_label is None else replace(problem, sigma_label=estimate.sigma_label)
+    weighed = estimate.weighed(problem)
     angles = torus.angles(problem).T if estimate.angles is None else estimate.angles.T
-    at = normal_equations(there, angles, labelled, AngleModel.of(labelled), sigma, used)
+    at = normal_equations(there, angles, weighed, AngleModel.of(weighed), sigma, used)
     angles = angles + at.angle_step(np.zeros(len(at.g)))
     kept = {name: getattr(estimate, name) for name in KEPT}
     moved = Estimate.of_torus(estimate.solver, there, angles=angles.T, correlation=found.correlation, **kept)
     return _with_parts(moved, found, Covariance(names, np.sum([*parts.values()], axis=0)), parts)
 
 
-KEPT = ("sigma_t", "sigma_r", "sigma_label", "used", "iterations", "converged", "notes")
+KEPT = ("sigma_t", "sigma_r", "sigma_label", "shape", "used", "iterations", "converged", "notes")
 """What of an estimate the effects do not change."""
 
 

@@ -6,8 +6,17 @@ import numpy as np
 
 from solvers.likelihood.correlation import Stretches
 from solvers.likelihood.elimination import columns_of
-from solvers.likelihood.linearise import LOCAL, AngleModel, linearise
-from solvers.likelihood.reduced import HELD, RESIDUAL, blocks_of, inverse_blocks, weighted
+from solvers.likelihood.linearise import LOCAL, AngleModel, Linearisation, linearise
+from solvers.likelihood.reduced import (
+    HELD,
+    RESIDUAL,
+    blocks_of,
+    inverse_blocks,
+    row_scale,
+    shape_roots,
+    shaped,
+    weighted,
+)
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
@@ -50,7 +59,8 @@ class Blocks:
         """Of all poses at the estimate ``torus``, ``angles`` (2, N), with its noise (m, rad) and ``active`` (D,)
         unknowns."""
         model = AngleModel.of(problem)
-        B, A = weighted(linearise(torus, angles, problem), model, sigma)
+        line = linearise(torus, angles, problem)
+        B, A = weighted(line, model, sigma)
         error = model.reading_error(angles)
         C = np.stack([np.einsum("rn,rkn->kn", A[:, j], B) for j in (0, 1)])
         C[:, RESIDUAL] += model.precision * error
@@ -78,7 +88,8 @@ class Blocks:
             order=stretches.order,
             by_unknown=by_unknown,
             residual=B[:, RESIDUAL],
-            whiten=_projected(A[..., middle], np.stack([g, h, k])[:, middle], model, middle, sigma) * np.sqrt(count),
+            whiten=_projected(A[..., middle], np.stack([g, h, k])[:, middle], _weights(line, model, sigma, middle))
+            * np.sqrt(count),
             rows=3 * len(first) - absorbed,
             fixed=_labels(model, angles, active),
         )
@@ -123,15 +134,19 @@ def _kept(active: np.ndarray, model: AngleModel) -> np.ndarray:
     return np.concatenate([active, np.ones(len(model.sweep_placement), dtype=bool)])
 
 
-def _projected(A: Array, G: Array, model: AngleModel, poses: np.ndarray, sigma: tuple[float, float]) -> Array:
+def _projected(A: Array, G: Array, weights: Array) -> Array:
     """(6, 6, B): I - A inv(G) Aᵀ of the poses' own angles, times the weights."""
     g, h, k = G
     first, second = A[:, 0] * g + A[:, 1] * h, A[:, 0] * h + A[:, 1] * k
     P = np.eye(len(A))[:, :, None] - A[:, None, 0] * first - A[:, None, 1] * second
-    weight = np.repeat(1 / np.asarray(sigma), 3)[:, None]
-    if model.scale is not None:
-        weight = weight / np.repeat(model.scale[:, poses], 3, axis=0)
-    return P * weight
+    return np.einsum("rsb,stb->rtb", P, weights)
+
+
+def _weights(line: Linearisation, model: AngleModel, sigma: tuple[float, float], poses: np.ndarray) -> Array:
+    """(6, 6, B) takes a displacement in the carm frame to weighted rows."""
+    scale = np.broadcast_to(row_scale(model, sigma), (6, line.residual.shape[1]))[:, poses]
+    weights = np.eye(6)[:, :, None] * scale
+    return weights if line.R_world_carm is None else shaped(weights, shape_roots(model, line.R_world_carm[..., poses]))
 
 
 def _labels(model: AngleModel, angles: Array, active: np.ndarray) -> Array:

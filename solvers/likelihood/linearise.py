@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from solvers.problem import Problem
+from solvers.problem import NoiseShape, Problem
 from solvers.se3 import Array, exp_se3, inverse, log_so3_small
 from solvers.torus import Torus
 
@@ -49,6 +49,8 @@ class AngleModel:
     """(2, N) 1 / variance of the reading; 0 where there is none."""
     scale: Array | None
     """(2, N) `Problem.scale`."""
+    shape: NoiseShape | None
+    """`Problem.shape`."""
 
     @staticmethod
     def of(problem: Problem) -> "AngleModel":
@@ -77,6 +79,7 @@ class AngleModel:
             reading=np.where(reading, problem.label, 0.0).T,
             precision=reading.T / problem.sigma_reading**2,
             scale=problem.scale,
+            shape=problem.shape,
         )
 
     def select(self, poses: slice) -> "AngleModel":
@@ -148,6 +151,8 @@ class Linearisation:
     """(6, 2, N) derivative by alpha and beta."""
     by_local: Array
     """(6, 14, N) derivative by the unknowns that the pose sees."""
+    R_world_carm: Array | None = None
+    """(3, 3, N) where the problem has a `NoiseShape`."""
 
 
 def _rotation(epsilon: float, sine: Array, cosine: Array) -> Array:
@@ -217,7 +222,10 @@ def linearise(torus: Torus, angles: Array, problem: Problem) -> Linearisation:
     position = _position_residual(torus, (m_y, m_z), problem, Q)
     if problem.R_world_sensor is None:
         return Linearisation(position, A[:3], J[:3])
-    return Linearisation(np.concatenate([position, _rotation_residual(torus, problem, Q)]), A, J)
+    R_world_carm = None
+    if problem.shape is not None:
+        R_world_carm = np.einsum("nij,jkn->ikn", torus.T_world_torus[problem.placement, :3, :3], Q)
+    return Linearisation(np.concatenate([position, _rotation_residual(torus, problem, Q)]), A, J, R_world_carm)
 
 
 def _cross(w: Array, q: Array) -> Array:

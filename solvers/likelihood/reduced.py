@@ -112,17 +112,45 @@ class Reduced:
 
 def weighted(line: Linearisation, model: AngleModel, sigma: tuple[float, ...]) -> tuple[Array, Array]:
     """B (rows, 16, n) and A (rows, 2, n), scaled by the noise; A is zero where an angle is not free."""
-    scale = np.repeat(1 / np.asarray(sigma), 3)[:, None]
-    if model.scale is not None:
-        scale = scale / np.repeat(model.scale[: len(sigma)], 3, axis=0)
+    scale = row_scale(model, sigma)
     n = line.residual.shape[1]
-    B = np.empty((len(scale), WIDTH, n))
+    B = np.empty((3 * len(sigma), WIDTH, n))
     np.multiply(line.by_local, scale[:, None], out=B[:, :LOCAL])
     A = line.by_angle * scale[:, None]
+    B[:, RESIDUAL] = line.residual * scale
+    if model.shape is not None and line.R_world_carm is not None:
+        roots = shape_roots(model, line.R_world_carm)
+        B[:, :LOCAL], B[:, RESIDUAL], A = (shaped(x, roots) for x in (B[:, :LOCAL], B[:, RESIDUAL], A))
     held = model.sweep >= 0
     B[:, HELD] = np.where(held, A[:, model.sweep_joint, np.arange(n)], 0.0) if held.any() else 0.0
-    B[:, RESIDUAL] = line.residual * scale
     return B, A * model.free
+
+
+def row_scale(model: AngleModel, sigma: tuple[float, ...]) -> Array:
+    """(rows, 1) or (rows, n), 1 over the noise of each row, root mean square over its axes."""
+    scale = np.repeat(1 / np.asarray(sigma), 3)[:, None]
+    return scale if model.scale is None else scale / np.repeat(model.scale[: len(sigma)], 3, axis=0)
+
+
+def shape_roots(model: AngleModel, R_world_carm: Array) -> tuple[Array, Array]:
+    """(3, 3, n) each: takes a position, or a turn, from the carm frame to axes of the tracker in which the noise is
+    isotropic, its root mean square the same. The model has a `NoiseShape`."""
+    assert model.shape is not None
+    roots = (inverse_root(S) for S in (model.shape.position, model.shape.rotation))
+    first, second = (np.einsum("ij,jkn->ikn", root, R_world_carm) for root in roots)
+    return first, second
+
+
+def inverse_root(S: Array) -> Array:
+    """The symmetric root of inv(S), S positive definite (3, 3)."""
+    values, vectors = np.linalg.eigh(S)
+    return (vectors / np.sqrt(values)) @ vectors.T
+
+
+def shaped(rows: Array, roots: tuple[Array, Array]) -> Array:
+    """Rows (6, ..., n), or the three of positions, in the axes of `shape_roots`."""
+    parts = [np.einsum("ijn,j...n->i...n", M, rows[3 * k : 3 * k + 3]) for k, M in enumerate(roots[: len(rows) // 3])]
+    return np.concatenate(parts)
 
 
 def blocks_of(A: Array) -> Array:

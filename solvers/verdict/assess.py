@@ -72,7 +72,8 @@ def assess(
     """Judge an estimate of ``problem`` by the poses that it used, and look for systematic ``effects``; the rows of the
     others are NaN."""
     used = np.ones(len(problem), dtype=bool) if estimate.used is None else estimate.used
-    part = problem if estimate.sigma_label is None else replace(problem, sigma_label=estimate.sigma_label)
+    problem = replace(problem, shape=estimate.shape)
+    part = estimate.weighed(problem)
     part = part if used.all() else part.select(used)
     if estimate.told is not None:
         return _assess_point(problem, part, estimate, used, limits)

@@ -12,7 +12,7 @@ import numpy as np
 
 from solvers.likelihood.correlation import Stretches, correlation_of, correlation_time
 from solvers.likelihood.linearise import LOCAL, AngleModel, Linearisation
-from solvers.likelihood.reduced import RESIDUAL, blocks_of, inverse_blocks, weighted
+from solvers.likelihood.reduced import RESIDUAL, blocks_of, inverse_blocks, row_scale, shape_roots, shaped, weighted
 from solvers.problem import Problem
 from solvers.se3 import Array, rot_y
 from solvers.verdict.f_test import f_tail
@@ -80,8 +80,8 @@ def rows_of(line: Linearisation, angles: Array, problem: Problem, sigma: tuple[f
     """
     model = AngleModel.of(problem.without_labels())
     B, A = weighted(line, model, sigma)
-    waves = [_flex(angles, sigma) if model.scale is None else _flex(angles, sigma) / model.scale.repeat(3, 0)[:, None]]
-    B = np.concatenate([B[:, :LOCAL], *(waves if flex else []), B[:, RESIDUAL:]], axis=1)
+    waves = [_flex(angles, line, model, sigma)] if flex else []
+    B = np.concatenate([B[:, :LOCAL], *waves, B[:, RESIDUAL:]], axis=1)
     C = [(A[:, j, None] * B).sum(axis=0) for j in (0, 1)]
     g, h, k = inverse_blocks(blocks_of(A), model)
     B -= A[:, 0, None] * (g * C[0] + h * C[1]) + A[:, 1, None] * (h * C[0] + k * C[1])
@@ -205,13 +205,13 @@ class _Normal:
         return (inverse * z**2).sum(axis=1), seen.sum(axis=1), delta
 
 
-def _flex(angles: Array, sigma: tuple[float, float]) -> Array:
+def _flex(angles: Array, line: Linearisation, model: AngleModel, sigma: tuple[float, float]) -> Array:
     """(6, 12 K, N) weighted columns of a position and a rotation that follow the angles, in the frame that alpha turns
     and beta does not."""
     waves = np.stack([f(k * a) for a in angles for k in ORDERS for f in (np.cos, np.sin)])
     turned = np.moveaxis(rot_y(angles[1]), 0, -1)
     columns = (turned[:, :, None] * waves).swapaxes(0, 1).reshape(3, -1, angles.shape[1])
     nothing = np.zeros_like(columns)
-    return np.concatenate(
-        [np.concatenate([columns / sigma[0], nothing]), np.concatenate([nothing, columns / sigma[1]])], axis=1
-    )
+    both = np.concatenate([np.concatenate([columns, nothing]), np.concatenate([nothing, columns])], axis=1)
+    both = both * row_scale(model, sigma)[:, None]
+    return both if line.R_world_carm is None else shaped(both, shape_roots(model, line.R_world_carm))

@@ -81,7 +81,7 @@ def test_the_file_has_the_keys_of_the_design(result):
     assert data["covariance"].keys() == {"names", "matrix"}
     assert data["noise"].keys() == {
         "translation_mm", "rotation_deg", "estimated",
-        "translation_correlation_poses", "rotation_correlation_poses", "effective_poses",
+        "translation_correlation_poses", "rotation_correlation_poses", "effective_poses", "axes",
     }  # fmt: skip
     assert data["outliers"].keys() == {"count", "indices", "reasons"}
     assert data["observability"].keys() == {"singular_values", "condition", "unobservable"}
