@@ -40,7 +40,7 @@ def allowing_for(estimate: Estimate, problem: Problem, found: Systematic) -> Est
 def _widened(estimate: Estimate, torus: Torus, stated: Covariance, found: Systematic) -> Estimate:
     """The same estimate with Cov + B Λ Bᵀ, B = C Jᵀ Z and C = inv(Jᵀ J) of noise that does not last."""
     J, u = _reported(torus, found), found.model.unknowns
-    moments = found.setting.moments.every.sum(axis=0)
+    moments = found.setting.rows.model.moments.sum(axis=0)
     C = _inverse(moments[:u, :u] + found.model.fixed[:u, :u])
     shares = found.shares(J @ C[: J.shape[1]] @ moments[:u, u:-1])
     white = J @ C[: J.shape[1], : J.shape[1]] @ J.T

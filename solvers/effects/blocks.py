@@ -21,7 +21,7 @@ from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
 
-MOST_BLOCKS = 600
+MOST_BLOCKS = 480
 """Stretches into which the poses are cut, about."""
 
 

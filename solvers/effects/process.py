@@ -6,7 +6,7 @@ import numpy as np
 
 from solvers.se3 import Array
 
-LEAST_VARIANCE = 1e-4
+LEAST_VARIANCE = 1e-3
 """Share of the greatest eigenvalue below which an eigenfunction is left out."""
 
 

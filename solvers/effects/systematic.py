@@ -17,7 +17,7 @@ import numpy as np
 
 from solvers.effects.blocks import Blocks
 from solvers.effects.columns import EFFECTS, Columns, Scene
-from solvers.effects.moments import Moments
+from solvers.effects.rows import Rows
 from solvers.effects.variance import Mixed, most_likely
 from solvers.estimate import Correlation
 from solvers.problem import Problem
@@ -53,14 +53,14 @@ class _Setting:
     scene: Scene
     columns: tuple[tuple[str, Columns], ...]
     groups: tuple[Group, ...]
-    moments: Moments
+    rows: Rows
 
     @staticmethod
     def of(scene: Scene, effects: tuple[str, ...]) -> "_Setting":
         every = [(name, EFFECTS[name](scene)) for name in effects]
         columns = tuple((name, found) for name, found in every if found is not None)
         groups = tuple(dict.fromkeys(Group(name, kind) for name, found in columns for kind in found.kinds))
-        return _Setting(scene, columns, groups, _moments(scene.blocks, columns, groups))
+        return _Setting(scene, columns, groups, _rows(scene.blocks, columns, groups))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,15 +99,12 @@ class Systematic:
 
     def parted(self, parts: list[np.ndarray]) -> "Parted":
         """Henderson's equations at the solution, and what each of the ``parts``, blocks by index, adds to them."""
-        blocks, model = self.setting.scene.blocks, self.model
-        F = _rows(blocks, self.setting.columns)
-        F = np.concatenate([F[:, model.index], np.einsum("rwb,w->rb", F, model.residual)[:, None]], axis=1)
-        F = F * np.append(model.scale, 1.0)[:, None]
-        rho, noise = np.repeat(self.rho, 3)[:, None, None], np.repeat(model.noise, 3)[:, None, None]
-        follows = np.append(False, np.diff(blocks.stretch) == 0)
-        before = np.where(follows, np.roll(F, 1, axis=2), 0.0)
-        F = (F - rho * before) / np.sqrt(np.where(follows, 1 - rho**2, 1.0) * noise)
-        sums = [np.matmul(here, here.swapaxes(1, 2)).sum(axis=0) for here in (F[..., part] for part in parts)]
+        model = self.model
+        F = self.setting.rows.independent(self.rho) / np.sqrt(np.repeat(model.noise, 3))[:, None]
+        left = np.einsum("wrb,w->rb", F, model.residual)
+        F = np.concatenate([F[model.index] * model.scale[:, None, None], left[None]])
+        some = (F[..., part].reshape(len(F), -1) for part in parts)
+        sums = [here @ here.T for here in some]
         return Parted(model.equations, [M[:-1, :-1] for M in sums], [M[:-1, -1] for M in sums], model.scale)
 
     @property
@@ -155,7 +152,7 @@ class Systematic:
 
     def refined(self, setting: _Setting) -> "Systematic":
         """The most likely variances in another setting, from these."""
-        return _climbed(setting, setting.moments.whitened(self.rho, self.model), self.rho)
+        return _climbed(setting, setting.rows.whitened(self.rho, self.model), self.rho)
 
 
 def systematic(
@@ -181,13 +178,13 @@ def systematic(
 
 def _from_nothing(setting: _Setting) -> Systematic:
     """The most likely variances, from no effect and noise that lasts as long as it seems to, or not at all."""
-    moments = setting.moments
+    rows = setting.rows
     of_noise = np.arange(len(setting.groups) + 2) >= len(setting.groups)
-    nothing = most_likely(moments.model, of_noise)
-    lasting = moments.correlation(nothing)
+    nothing = most_likely(rows.model, of_noise)
+    lasting = rows.correlation(nothing)
     found = []
     for rho in [np.zeros(2), lasting] if lasting.any() else [lasting]:
-        start = moments.whitened(rho, nothing)
+        start = rows.whitened(rho, nothing)
         score, information = start.from_nothing()
         asked = score > ASKED * np.sqrt(information)
         start = start.at(np.where(asked, score / information, 0.0), start.noise)
@@ -200,26 +197,20 @@ def _climbed(setting: _Setting, start: Mixed, rho: Array) -> Systematic:
     every = np.ones(len(setting.groups) + 2, dtype=bool)
     fit = most_likely(start, every)
     for _ in range(ROUNDS):
-        left = setting.moments.correlation(fit)
+        left = setting.rows.correlation(fit)
         if np.abs(left - rho).max() < SAME_RHO:
             break
-        fit, rho = most_likely(setting.moments.whitened(left, fit), every), left
+        fit, rho = most_likely(setting.rows.whitened(left, fit), every), left
     return Systematic(setting, fit, rho)
 
 
-def _rows(blocks: Blocks, columns: tuple[tuple[str, Columns], ...]) -> Array:
-    """(6, w, B) rows [U Z y] of position and rotation."""
+def _rows(blocks: Blocks, columns: tuple[tuple[str, Columns], ...], groups: tuple[Group, ...]) -> Rows:
+    """[U Z y] of all blocks, and the model without any effect so far."""
+    Z = np.zeros((6, 0, len(blocks.middle)))
     if columns:
         Z = np.concatenate([found.displacement for _, found in columns], axis=1)
         Z = np.matmul(blocks.whiten.transpose(2, 0, 1), Z.transpose(2, 0, 1)).transpose(1, 2, 0)
-    else:
-        Z = np.zeros((6, 0, len(blocks.middle)))
-    return np.concatenate([-blocks.by_unknown[:6], Z, blocks.residual[:6, None]], axis=1)
-
-
-def _moments(blocks: Blocks, columns: tuple[tuple[str, Columns], ...], groups: tuple[Group, ...]) -> Moments:
-    """Of the model without any effect so far."""
-    F = _rows(blocks, columns)
+    F = np.concatenate([-blocks.by_unknown[:6], Z, blocks.residual[:6, None]], axis=1)
     u, width = blocks.by_unknown.shape[1], F.shape[1]
     read = np.concatenate([-blocks.by_unknown[6:], blocks.residual[6:, None]], axis=1).swapaxes(0, 1).reshape(u + 1, -1)
     own = np.append(np.arange(u), width - 1)
@@ -227,4 +218,4 @@ def _moments(blocks: Blocks, columns: tuple[tuple[str, Columns], ...], groups: t
     fixed[np.ix_(own, own)] = read @ read.T + blocks.fixed
     group = np.array([groups.index(Group(name, kind)) for name, found in columns for kind in found.kinds], dtype=int)
     model = Mixed(np.zeros((2, width, width)), fixed, blocks.rows, u, group, np.zeros(len(groups)), np.ones(2))
-    return Moments.of([F[:3], F[3:]], blocks.stretch, model)
+    return Rows.of(F, blocks.stretch, model)

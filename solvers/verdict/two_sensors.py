@@ -23,7 +23,7 @@ LEAST_BESIDE_M, LEAST_BESIDE_RAD = 0.5e-3, float(np.radians(0.1))
 """No two tools are mounted nearer to each other; groups that are sway with an angle by what bends or has play."""
 LEAST_SEEN = 0.6
 """Share of it that the poses show: their own angles take away two of its six components."""
-FAR_LESS = 1.6
+FAR_LESS = 1.5
 """Ratio of the sums of squares without and with two sensors, from which on groups that take turns are told, however
 near: two groups made of noise have 1.2, since they part one of its four directions, by 64%."""
 FALSE_ALARM = 1e-6
@@ -38,6 +38,8 @@ QUIET = 1e-3
 """Nothing is left if noise alone makes another stretch with this probability."""
 RARE = 1e-5
 """The same between placements, which are known."""
+MOST_POSES = 2000
+"""Poses from which the groups are found."""
 SHY = 0.01
 """Weight at which the other poses hold a group's displacement back: poses at one angle do not see all of it."""
 STARTS = 6
@@ -125,38 +127,51 @@ def _for_a_stretch(nuisance: Nuisance, torus: Torus, numbers: np.ndarray) -> Not
 def _groups(rows: Array) -> tuple[float, np.ndarray] | None:
     """The two groups of residuals that lie farthest apart: their spread over the gap, and the poses (n,) of one.
 
-    Two constant displacements by turns: assign each pose to the nearer one, fit each to its poses. Along the line
-    between them a pose's residual is at 0 or 1, and the spread about these is the measure of the gap.
+    Two constant displacements by turns: assign each pose to the nearer one, fit each to its poses, of `MOST_POSES`
+    evenly picked ones.
     """
     D, y = np.moveaxis(rows[:, SENSOR], -1, 0), -np.moveaxis(rows[:, -1], -1, 0)
-    n, best = len(y), None
-    information, pull = np.einsum("nri,nrk->nik", D, D), np.einsum("nri,nr->ni", D, y)
+    step = -(-len(y) // MOST_POSES)
+    some, best = (D[::step], y[::step]), None
+    n = len(some[1])
+    information = np.einsum("nri,nrk->nik", some[0], some[0])
+    pull = np.einsum("nri,nr->ni", *some)
     every = information.sum(axis=0)
-    far = np.argsort(-(y**2).sum(axis=1))
+    far = np.argsort(-(some[1] ** 2).sum(axis=1))
     for k in range(STARTS):
         # a start from the poses whose residuals lie to one side, as those of one with a great residual do
         seed = far[k * n // (4 * STARTS)]
-        moved = D @ _fit(information[seed], pull[seed])
-        second = np.einsum("nr,nr->n", moved, y - 0.5 * moved) > 0
+        second = _nearer(*some, np.zeros(6), _fit(information[seed], pull[seed]))
         for _ in range(ITERATIONS):
-            if min(second.sum(), (~second).sum()) < LEAST_POSES:
+            if min(second.sum(), (~second).sum()) * step < LEAST_POSES:
                 break
             a, b = (
                 _fit(information[part].sum(axis=0) + SHY * part.mean() * every, pull[part].sum(axis=0))
                 for part in (~second, second)
             )
-            between, rest = D @ (b - a), y - D @ a
-            new = np.einsum("nr,nr->n", between, rest - 0.5 * between) > 0
+            new = _nearer(*some, a, b)
             if (new == second).all():
-                length2 = np.maximum((between**2).sum(axis=1), 1e-12)
-                along = np.einsum("nr,nr->n", between, rest) / length2
-                off = (along - second) ** 2
-                spread = float(np.sqrt(max(off.mean(), np.average(off, weights=length2))))
-                if best is None or spread < best[0]:
-                    best = spread, second
+                spread, group = _spread(D, y, a, b)
+                if min(group.sum(), (~group).sum()) >= LEAST_POSES and (best is None or spread < best[0]):
+                    best = spread, group
                 break
             second = new
     return best
+
+
+def _nearer(D: Array, y: Array, a: Array, b: Array) -> np.ndarray:
+    """(n,) mask of the poses nearer the displacement b than a."""
+    moved = D @ (b - a)
+    return np.einsum("nr,nr->n", moved, y - D @ a - 0.5 * moved) > 0
+
+
+def _spread(D: Array, y: Array, a: Array, b: Array) -> tuple[float, np.ndarray]:
+    """Along the line between two displacements the residuals are at 0 or 1: how they spread about these, which is the
+    measure of the gap, and which are at 1."""
+    between, rest, second = D @ (b - a), y - D @ a, _nearer(D, y, a, b)
+    length2 = np.maximum((between**2).sum(axis=1), 1e-12)
+    off = (np.einsum("nr,nr->n", between, rest) / length2 - second) ** 2
+    return float(np.sqrt(max(off.mean(), np.average(off, weights=length2)))), second
 
 
 def _alternates(second: np.ndarray) -> bool:

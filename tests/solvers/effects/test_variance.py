@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from solvers.effects.moments import Moments
+from solvers.effects.rows import Rows
 from solvers.effects.variance import Mixed, most_likely
 
 GROUPS = np.repeat([0, 1, 2], (3, 4, 2))
@@ -26,15 +26,15 @@ def rows(seed: int, variance=(0.5, 2.0, 0.0), noise=(1.0, 3.0), rho=(0.0, 0.0), 
     return F, (np.arange(blocks) >= blocks // 2).astype(int)
 
 
-def moments_of(F, stretch) -> Moments:
+def rows_of(F, stretch) -> Rows:
     size = F.shape[1]
     count = np.full(KINDS, 3.0 * F.shape[2])
     model = Mixed(np.zeros((KINDS, size, size)), np.zeros((size, size)), count, 4, GROUPS, np.zeros(3), np.ones(KINDS))
-    return Moments.of([F[:3], F[3:]], stretch, model)
+    return Rows.of(F, stretch, model)
 
 
 def model_of(F, variance, noise) -> Mixed:
-    return moments_of(F, np.zeros(F.shape[2], dtype=int)).model.at(np.array(variance), np.array(noise))
+    return rows_of(F, np.zeros(F.shape[2], dtype=int)).model.at(np.array(variance), np.array(noise))
 
 
 def dense(F, variance, noise, rho=(0.0, 0.0)):
@@ -139,11 +139,11 @@ def test_the_most_likely_variances():
 @pytest.mark.parametrize("rho", [(0.7, 0.0), (0.3, 0.9)])
 def test_noise_that_lasts(rho):
     F, stretch = rows(6, rho=rho)
-    moments = moments_of(F, stretch)
+    lasting = rows_of(F, stretch)
     pairs = []
     for variance, noise in AT:
-        at = moments.model.at(np.array(variance), np.array(noise))
-        whitened = moments.whitened(np.array(rho), at)
+        at = lasting.model.at(np.array(variance), np.array(noise))
+        whitened = lasting.whitened(np.array(rho), at)
         U, y, V = dense(F, variance, noise, rho)
         pairs.append(whitened.log_likelihood - likelihood(U, y, V))
         W = np.linalg.inv(V)
@@ -153,15 +153,15 @@ def test_noise_that_lasts(rho):
 
 def test_another_correlation_is_comparable():
     F, stretch = rows(7, rho=(0.6, 0.6))
-    moments = moments_of(F, stretch)
-    at = moments.model.at(*map(np.array, AT[0]))
+    lasting = rows_of(F, stretch)
+    at = lasting.model.at(*map(np.array, AT[0]))
     for rho in ((0.6, 0.6), (0.2, 0.8)):
-        off = moments.whitened(np.array(rho), at).log_likelihood - at.log_likelihood
+        off = lasting.whitened(np.array(rho), at).log_likelihood - at.log_likelihood
         assert off == pytest.approx(likelihood(*dense(F, *AT[0], rho)) - likelihood(*dense(F, *AT[0])), abs=1e-6)
 
 
 def test_the_correlation_is_found():
     F, stretch = rows(8, rho=(0.8, 0.0), blocks=300)
-    moments = moments_of(F, stretch)
-    fit = most_likely(moments.model.at(np.ones(3), np.ones(2)), np.ones(5, dtype=bool))
-    assert moments.correlation(fit) == pytest.approx((0.8, 0.0), abs=0.08)  # 3 of its standard errors
+    lasting = rows_of(F, stretch)
+    fit = most_likely(lasting.model.at(np.ones(3), np.ones(2)), np.ones(5, dtype=bool))
+    assert lasting.correlation(fit) == pytest.approx((0.8, 0.0), abs=0.08)  # 3 of its standard errors
