@@ -138,8 +138,8 @@ def test_a_mean_of_zero_takes_the_six_constants(range_deg, order, count):
 
 
 def test_a_millimetre_of_sag_costs_a_third_of_it():
-    """The offset's error, rms, where the sensor shifts at order 1 by a peak of 1 mm in the mean: 0.53 mm of the rigid fit,
-    0.32 mm of the posterior mean, which no estimator beats. 1,900 poses, 0.2 mm and 0.08 degrees."""
+    """Rms error of the offset where the sensor shifts at order 1 by a peak of 1 mm in the mean: 0.53 mm of the rigid
+    fit, 0.32 mm of the posterior mean, which no estimator beats. 1,900 poses, 0.2 mm and 0.08 degrees."""
     deformation, angles, rigid = columns(Machine(0.1, 0.01), C_ARM, 1)
     shifts, functions = centred(deformation, C_ARM, 1)
     some = np.random.default_rng(1).normal(size=(2000, functions.shape[1], 3))
