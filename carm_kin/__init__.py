@@ -15,6 +15,7 @@ from carm_kin.version import __version__ as __version__
 if TYPE_CHECKING:
     from carm_kin.batches.batch import batch as batch
     from carm_kin.calibrated.check import check as check
+    from carm_kin.calibrated.isocentre import isocentre as isocentre
     from carm_kin.calibrated.rotation_centre import RotationCentre as RotationCentre
     from carm_kin.calibrated.virtual_centre import virtual_centre as virtual_centre
     from carm_kin.calibrated.xray import Detector as Detector
@@ -41,6 +42,7 @@ if TYPE_CHECKING:
     from carm_kin.report import write_report as write_report
     from carm_kin.report import write_summary as write_summary
     from carm_kin.results.check_result import Check as Check
+    from carm_kin.results.isocentre_result import Isocentre as Isocentre
     from carm_kin.results.result import CalibrationResult as CalibrationResult
     from carm_kin.results.result import read_result as read_result
     from carm_kin.results.virtual_centre_result import VirtualCentre as VirtualCentre
@@ -57,6 +59,7 @@ _HOME = {
     "Detector": "carm_kin.calibrated.xray",
     "FreeJoints": "carm_kin.calibration.chain.calibrate",
     "InputError": "carm_kin.errors",
+    "Isocentre": "carm_kin.results.isocentre_result",
     "Joints": "carm_kin.report",
     "Machine": "carm_kin.machine.machine",
     "MissingDependencyError": "carm_kin.errors",
@@ -74,6 +77,7 @@ _HOME = {
     "compare": "carm_kin.study.compare",
     "cross_validate": "carm_kin.calibration.cross_validate",
     "export": "carm_kin.exports",
+    "isocentre": "carm_kin.calibrated.isocentre",
     "read_recording": "carm_kin.recording.formats",
     "read_result": "carm_kin.results.result",
     "read_urdf": "carm_kin.machine.urdf",

@@ -77,6 +77,24 @@ class EffectFound:
 
 
 @dataclass(frozen=True, eq=False)
+class Deformed:
+    """The sensor's mount as a function of the angles, at M pairs of them that fill a grid, beta running faster."""
+
+    angles: Array
+    """(M, 2) alpha and beta, rad."""
+    shift: Array
+    """(M, 3) of the rotation centre in the sensor's frame from ``offset``, m."""
+    turn: Array
+    """(M, 3) of the carm frame, rotation vector in the sensor's frame, rad."""
+    covariance: Array
+    """(M, 3, 3) of the offset at these angles, m²."""
+    low: Array
+    """(2,) least calibrated angles, and"""
+    high: Array
+    """(2,) greatest ones."""
+
+
+@dataclass(frozen=True, eq=False)
 class Told:
     """What the motion tells of the offset t: its components along K orthonormal directions of the sensor's frame."""
 
@@ -134,6 +152,8 @@ class Estimate:
     """What the covariance is made of; empty where systematic effects were not looked for."""
     effects: tuple[EffectFound, ...] = ()
     """Those that the residuals show."""
+    deformed: Deformed | None = None
+    """None where the C is rigid, or its deformation was not estimated."""
     null_direction_sensor: Array | None = None
     """(3,) direction of the offset that the energy leaves undetermined (published gauge only)."""
     unobservable: tuple[str, ...] = ()

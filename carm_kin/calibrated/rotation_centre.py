@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 from carm_kin.calibration.cross_validate import torus_of
 from carm_kin.errors import InputError
 from carm_kin.recording.checks import floats, numeric, transforms
+from carm_kin.results.deformation import Deformation
 from carm_kin.results.result import CalibrationResult, ResultLike, as_result
 from solvers.kinematic import SIGMA_FLOOR
 from solvers.likelihood.covariance import reported_jacobian
@@ -66,6 +67,8 @@ class Located:
     """(N, 3) one standard deviation of ``nearest.pivot_world_m``, as above."""
     other: TorusPoses
     """The second solution of the position, which the orientation rules out."""
+    extrapolated: np.ndarray
+    """(N,) whether the angles lie outside those over which the deformation of the C was calibrated."""
 
     @property
     def pivot_world_m(self) -> Array:
@@ -116,21 +119,37 @@ class RotationCentre:
         """The C-arm at poses (N, 4, 4), m. Raises InputError where they are no rigid motions.
 
         The nearest pose minimises |p - p(alpha, beta)|^2 / sigma_t^2 + (2 sin(theta / 2))^2 / sigma_r^2 over all alpha
-        and beta, theta being the angle between R and R(alpha, beta).
+        and beta, theta being the angle between R and R(alpha, beta). Where the calibration found the C to bend, the
+        sensor is first put where it would be on a rigid one.
         """
-        T = transforms("T_world_sensor", T_world_sensor)
+        T = self.unbent(transforms("T_world_sensor", T_world_sensor))
         problem = Problem.of_poses(T[:, :3, 3], T[:, :3, :3])
         angles = nearest(self.torus, problem, self.sigma)
         sigma_angles, sigma_pivot = self._sigma_of_nearest(problem, angles)
         return Located(
             T @ self.torus.T_sensor_carm,
-            self._sigma_of_measured(problem.rotations),
+            self._sigma_of_measured(problem.rotations, angles),
             self._poses(problem, angles),
             sigma_angles[:, 0],
             sigma_angles[:, 1],
             sigma_pivot,
             self._poses(problem, other(self.torus, problem, angles)),
+            np.zeros(len(T), dtype=bool) if self.bent is None else self.bent.extrapolated(*angles),
         )
+
+    @property
+    def bent(self) -> Deformation | None:
+        """How the C bends; None where it is rigid as far as the calibration shows."""
+        return self.result.deformation
+
+    def unbent(self, T_world_sensor: Array) -> Array:
+        """(N, 4, 4) where the sensor would be at measured poses (N, 4, 4), m, did the C not bend."""
+        if self.bent is None:
+            return T_world_sensor
+        problem = Problem.of_poses(T_world_sensor[:, :3, 3], T_world_sensor[:, :3, :3])
+        mount = self.torus.T_sensor_carm
+        there = self.bent.T_sensor_carm(mount, *nearest(self.torus, problem, self.sigma))
+        return T_world_sensor @ there @ inverse(mount)
 
     def locate_positions(self, p_world_sensor: ArrayLike) -> tuple[TorusPoses, TorusPoses]:
         """The nearest and the second solution of positions alone, (N, 3), m, by their distance from the torus.
@@ -168,11 +187,15 @@ class RotationCentre:
         back = np.linalg.pinv(J)
         return back @ known.select([known.names.index(name) for name in wanted]).matrix @ back.T
 
-    def _sigma_of_measured(self, R: Array) -> Array:
-        """(N, 3) of R_i t + p_i."""
+    def _sigma_of_measured(self, R: Array, angles: Array) -> Array:
+        """(N, 3) of R_i t + p_i, at angles (2, N)."""
         mount = self.torus.T_sensor_carm[:3, :3] @ self._covariance[MACHINE : MACHINE + 3, MACHINE : MACHINE + 3]
         C = mount @ self.torus.T_sensor_carm[:3, :3].T + self.sigma[1] ** 2 * _across(self.torus.offset)
-        return np.sqrt(np.einsum("nij,jk,nik->ni", R, C, R) + self.sigma[0] ** 2)
+        variance = np.einsum("nij,jk,nik->ni", R, C, R) + self.sigma[0] ** 2
+        if self.bent is not None:
+            here, mean = self.bent.sigma_m(*angles) ** 2, np.diagonal(mount @ self.torus.T_sensor_carm[:3, :3].T)
+            variance = variance + np.einsum("nij,nj->ni", R**2, np.maximum(here - mean, 0.0))
+        return np.sqrt(variance)
 
     def _sigma_of_nearest(self, problem: Problem, angles: Array) -> tuple[Array, Array]:
         """(N, 2) of alpha and beta, (N, 3) of the pivot, by what noise and unknowns do to the nearest angles."""

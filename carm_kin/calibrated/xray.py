@@ -15,6 +15,7 @@ from functools import reduce
 import numpy as np
 from numpy.typing import ArrayLike
 
+from carm_kin.calibrated.rotation_centre import RotationCentre
 from carm_kin.calibration.cross_validate import torus_of
 from carm_kin.errors import InputError
 from carm_kin.machine.chain import chain_of, nominal_geometry
@@ -120,7 +121,9 @@ class Xray:
         return self.K @ E @ np.concatenate([np.eye(3), -self.T_carm_source[:3, 3:]], axis=1)
 
     def P_image_sensor(self, result: ResultLike) -> Array:
-        """(3, 4) from the sensor's frame, m, to pixels: the same at every pose; ``result`` may be a path.
+        """(3, 4) from the sensor's frame, m, to pixels: the same at every pose of a C that does not bend.
+
+        ``result`` may be a path.
 
         Raises InputError where the calibration holds no complete chain or does not tell where beta is zero and which
         way it counts, so that it does not fix the C-arm frame in which the URDF has source and detector.
@@ -130,12 +133,18 @@ class Xray:
         self._check_frame(torus)
         return self.P_image_carm @ inverse(torus.T_sensor_carm)
 
-    def P_image_world(self, result: ResultLike, T_world_sensor: ArrayLike) -> Array:
+    def P_image_world(self, result: ResultLike, T_world_sensor: ArrayLike, placement: str | None = None) -> Array:
         """(N, 3, 4) from the world, m, to pixels, for poses (N, 4, 4), m.
 
-        Raises InputError as `P_image_sensor` does, and for poses that are no rigid motions.
+        Where the calibration found the C to bend, the C-arm frame is that at the pose, and a calibration of several
+        placements needs the name of the one. Raises InputError as `P_image_sensor` does, where the name is missing, and
+        for poses that are no rigid motions.
         """
-        return self.P_image_sensor(result) @ inverse(transforms("T_world_sensor", T_world_sensor))
+        result = as_result(result)
+        rigid, T = self.P_image_sensor(result), transforms("T_world_sensor", T_world_sensor)
+        if result.deformation is None:
+            return rigid @ inverse(T)
+        return rigid @ inverse(RotationCentre(result, placement).unbent(T))
 
     def _check_frame(self, torus: Torus) -> None:
         """Raise InputError unless labels make the calibration's C-arm frame that of the URDF."""

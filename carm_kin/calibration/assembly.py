@@ -8,6 +8,7 @@ import numpy as np
 from carm_kin.calibration.problem import to_problem
 from carm_kin.recording.ingest_checks import contradicted
 from carm_kin.recording.recording import Recording
+from carm_kin.results.deformation import Deformation, DeformationNode
 from carm_kin.results.parts import (
     NoiseAxes,
     NoiseLevel,
@@ -25,7 +26,7 @@ from carm_kin.results.parts import (
     ToldOffset,
 )
 from carm_kin.results.result import CalibrationResult
-from solvers.estimate import Correlation, Covariance, Estimate, Note, Told
+from solvers.estimate import Correlation, Covariance, Deformed, Estimate, Note, Told
 from solvers.problem import NoiseShape, Problem
 from solvers.se3 import Array
 from solvers.verdict.assess import Assessment
@@ -88,7 +89,8 @@ def result_of(
         provenance=provenance,
         sigma_parts=_sigma_parts(estimate) if ok else (),
         effects=tuple(SystematicEffect(e.name, e.position_m, e.rotation_rad) for e in estimate.effects) if ok else (),
-        angles_rad=assessment.angles,
+        deformation=_deformation(estimate.deformed) if ok and estimate.deformed else None,
+        angles_rad=assessment.angles if estimate.deformed is None else estimate.angles,
         told=told,
     )
 
@@ -184,6 +186,14 @@ def _sigma_parts(estimate: Estimate) -> tuple[SigmaPart, ...]:
         SigmaPart(part.name, part.covariance.sigma(*offset), float(part.covariance.sigma("major_radius")[0]))
         for part in estimate.sigma_parts
     )
+
+
+def _deformation(found: Deformed) -> Deformation:
+    sigma = np.sqrt(np.maximum(np.einsum("mii->mi", found.covariance), 0.0))
+    rows = zip(found.angles, found.shift, found.turn, sigma, strict=True)
+    nodes = (DeformationNode(float(a), float(b), shift, turn, s) for (a, b), shift, turn, s in rows)
+    alpha, beta = zip(found.low.tolist(), found.high.tolist(), strict=True)
+    return Deformation(alpha, beta, tuple(nodes))
 
 
 def _residuals(label: str, assessment: Assessment, poses: Any, chi2_per_dof: float | None) -> Residuals:

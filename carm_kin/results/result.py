@@ -10,6 +10,7 @@ import numpy as np
 
 from carm_kin.errors import InputError, wrong_type
 from carm_kin.results.chain_result import ChainCalibration
+from carm_kin.results.deformation import Deformation
 from carm_kin.results.figure import result_figure
 from carm_kin.results.held_out import CrossValidation
 from carm_kin.results.html import html_table
@@ -93,6 +94,8 @@ class CalibrationResult:
     """What `sigma` is made of; empty where no systematic effects were looked for."""
     effects: tuple[SystematicEffect, ...] = ()
     """Those for which `sigma` allows."""
+    deformation: Deformation | None = None
+    """How the C bends; None where it is rigid as far as the poses show."""
     angles_rad: Array | None = None
     """(N, 2) alpha and beta of every pose; not written to the file."""
     cross_validation: CrossValidation | None = None

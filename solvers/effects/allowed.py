@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from solvers.effects.deformed import deformed
 from solvers.effects.systematic import Systematic
 from solvers.estimate import Covariance, EffectFound, Estimate, SigmaPart
 from solvers.likelihood.covariance import reported_jacobian
@@ -73,6 +74,7 @@ def _moved(estimate: Estimate, torus: Torus, problem: Problem, found: Systematic
     angles = angles + at.angle_step(np.zeros(len(at.g)))
     kept = {name: getattr(estimate, name) for name in KEPT}
     moved = Estimate.of_torus(estimate.solver, there, angles=angles.T, correlation=found.correlation, **kept)
+    moved = replace(moved, deformed=deformed(found, there))
     return _with_parts(moved, found, Covariance(names, np.sum([*parts.values()], axis=0)), parts)
 
 

@@ -109,14 +109,12 @@ Effect = Callable[[Scene], Columns | None]
 
 def deformation(scene: Scene) -> Columns | None:
     """The C bends as a smooth function of both angles, of mean zero over their ranges."""
-    process = Process.over(grid(*scene.range, STEPS), DEFORMATION_LENGTH, centred=True)
-    return _six(process.basis(scene.at.T))
+    return _six(_smooth(scene, scene.at))
 
 
 def gravity(scene: Scene) -> Columns | None:
     """The C bends in proportion to its weight: linear in the vertical as seen from the C and from its swivel."""
-    basis = statics(scene.at) - statics(grid(*scene.range, STEPS).T).mean(axis=1, keepdims=True)
-    return _six(basis)
+    return _six(_statics(scene, scene.at))
 
 
 def field(scene: Scene) -> Columns | None:
@@ -206,8 +204,22 @@ EFFECTS: dict[str, Effect] = {
 """By name."""
 
 
-def statics(angles: Array) -> Array:
-    """(8, N) products of 1, cos and sin of both angles (2, N) but for 1: what a vertical that is fixed in the world is
+def _smooth(scene: Scene, angles: Array) -> Array:
+    """(K, n) basis of `deformation` at ``angles`` (2, n)."""
+    return Process.over(grid(*scene.range, STEPS), DEFORMATION_LENGTH, centred=True).basis(angles.T)
+
+
+def _statics(scene: Scene, angles: Array) -> Array:
+    """(8, n) basis of `gravity` at ``angles`` (2, n)."""
+    return _products(angles) - _products(grid(*scene.range, STEPS).T).mean(axis=1, keepdims=True)
+
+
+OF_DEFORMATION: dict[str, Callable[[Scene, Array], Array]] = {"deformation": _smooth, "gravity": _statics}
+"""Bases of the effects that bend the C, by name; each has six coefficients, of a twist at the sensor."""
+
+
+def _products(angles: Array) -> Array:
+    """(8, n) products of 1, cos and sin of both angles (2, n) but for 1: what a vertical that is fixed in the world is
     made of in the frames of the swivel and of the C."""
     alpha, beta = ((np.ones_like(a), np.cos(a), np.sin(a)) for a in angles)
     return np.stack([a * b for a in alpha for b in beta])[1:]

@@ -136,17 +136,17 @@ class Systematic:
         return {
             name: (gain[:, own] * self.model.variance[self.model.group[own]]) @ gain[:, own].T
             for name in self.names
-            for own in [self._of(name)]
+            for own in [self.columns_of(name)]
         }
 
     def amplitude(self, name: str) -> tuple[float, float]:
         """Root mean square displacement of the sensor by an effect, m and rad, as it is predicted."""
         columns = dict(self.setting.columns)[name]
-        moved = np.einsum("imb,m->ib", columns.displacement, self.model.coefficients[self._of(name)])
+        moved = np.einsum("imb,m->ib", columns.displacement, self.model.coefficients[self.columns_of(name)])
         position, rotation = ((part**2).sum(axis=0).mean() ** 0.5 for part in (moved[:3], moved[3:]))
         return float(position), float(rotation)
 
-    def _of(self, name: str) -> np.ndarray:
+    def columns_of(self, name: str) -> np.ndarray:
         """(m,) mask of the columns of an effect."""
         return np.array([group.effect == name for group in self.setting.groups])[self.model.group]
 
