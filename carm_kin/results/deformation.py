@@ -6,6 +6,9 @@ import numpy as np
 
 from solvers.se3 import Array, exp_so3
 
+EDGE_RAD = float(np.radians(1.0))
+"""Beyond a calibrated range, up to which an angle still counts as within."""
+
 
 @dataclass(frozen=True, eq=False)
 class DeformationNode:
@@ -59,9 +62,7 @@ class Deformation:
     def extrapolated(self, alpha_rad: Array, beta_rad: Array) -> np.ndarray:
         """(N,) mask of the angles outside the calibrated ranges."""
         ranges = (alpha_rad, np.array(self.alpha_range_rad)), (beta_rad, np.array(self.beta_range_rad))
-        outside = [
-            np.abs(_about(angle, low_high) - low_high.mean()) > np.ptp(low_high) / 2 for angle, low_high in ranges
-        ]
+        outside = [np.abs(_about(angle, x) - x.mean()) > np.ptp(x) / 2 + EDGE_RAD for angle, x in ranges]
         return outside[0] | outside[1]
 
     def _between(self, name: str, alpha_rad: Array, beta_rad: Array) -> Array:

@@ -19,7 +19,7 @@ from solvers.effects.blocks import Blocks
 from solvers.effects.columns import EFFECTS, Columns, Scene
 from solvers.effects.rows import Rows
 from solvers.effects.variance import Mixed, most_likely
-from solvers.estimate import Correlation
+from solvers.estimate import Correlation, Note
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
@@ -31,6 +31,8 @@ ASKED = 1.0
 """Standard deviations by which an effect must show in the residuals to be estimated."""
 LEAST_BLOCKS = 20
 """Fewer poses tell nothing of effects."""
+DISAGREE = 4.75
+"""Gain in log-likelihood of a variance between placements that chance makes once in a thousand."""
 SAME_RHO = 0.03
 """Change of a correlation that calls for no other round."""
 ROUNDS = 3
@@ -90,6 +92,26 @@ class Systematic:
     def gain(self) -> float:
         """In log-likelihood, over no effect at the same noise."""
         return self.model.log_likelihood - self.model.at(0 * self.model.variance, self.model.noise).log_likelihood
+
+    def gain_of(self, name: str) -> float:
+        """In log-likelihood, over all effects but this one."""
+        groups = np.array([group.effect != name for group in self.setting.groups], dtype=bool)
+        without = self.model.at(self.model.variance * groups, self.model.noise)
+        return self.model.log_likelihood - without.log_likelihood
+
+    @property
+    def note(self) -> Note | None:
+        """Whether the placements disagree about where the sensor sits on the C."""
+        if "remounting" not in self.names or self.gain_of("remounting") < DISAGREE:
+            return None
+        variances = dict(zip(self.setting.groups, self.model.variance, strict=True))
+        shift, turn = (np.sqrt(variances[Group("remounting", kind)]) for kind in ("position", "rotation"))
+        return Note(
+            "placements_disagree",
+            f"the placements of the base disagree about where the sensor sits on the C by {shift * 1e3:.2g} mm and "
+            f"{np.degrees(turn):.2g} deg (one sigma an axis), more than noise and other effects explain; the ± allows "
+            "for it, and more placements would tell it better",
+        )
 
     @property
     def of_place(self) -> bool:

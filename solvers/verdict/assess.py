@@ -129,6 +129,7 @@ def assess(
     fitted = estimate.covariance is not None and not refusal and not causes
     found = systematic(part, torus, angles, sigma, active, effects) if fitted else None
     correlation = found.correlation if found and found.names else correlation
+    disagree = (found.note,) if found and found.note else ()
     clean = residual_notes(angles, residual, at.redundancy[0], correlation, bool(effects)) if fitted else ()
     return Assessment(
         angles=_spread(angles.T, used),
@@ -140,7 +141,7 @@ def assess(
         correlation=correlation,
         singular_values=values[::-1],
         unobservable=unobservable,
-        notes=(*_rejections(used, moved_at, limits), *(causes or moved), *clean),
+        notes=(*_rejections(used, moved_at, limits), *(causes or moved), *clean, *disagree),
         refusal=_with_causes(refusal, causes, used, limits),
         systematic=found,
         left_out=left_out(found) if found else None,

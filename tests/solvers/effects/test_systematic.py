@@ -8,7 +8,7 @@ import pytest
 import carm_kin
 from benchmarks import realism
 from carm_kin.calibration.problem import to_problem
-from helpers.simulated import machine, problem, sweeps_deg
+from helpers.simulated import joined, machine, problem, sweeps_deg
 from solvers import kinematic
 from solvers.effects.allowed import allowing_for
 from solvers.effects.systematic import systematic
@@ -151,3 +151,25 @@ def test_time_need_not_be_known():
     _, found, _ = found_in(replace(take, time_s=None))
     assert found.gain > 50
     assert "smoothing" not in found.names
+
+
+def test_placements_that_disagree_are_told():
+    """A sensor that is seated anew by 0.5 mm in each of four placements; where it is not, nothing is said."""
+    motion = sweeps_deg((-30, 0, 30), np.arange(0, 115, 4.0), (10, 60), np.arange(-40, 40, 4.0))
+    four = joined(*(replace(motion, placement=np.full(len(motion), k)) for k in range(4)))
+    said, ratios = [], []
+    for seated in (0.0, 0.5e-3):
+        for seed in range(4):
+            truth = machine(seed, 0.1, 0.005, placements=4)
+            data = problem(truth, four, 1e-4, 5e-4, seed)
+            off = seated * np.random.default_rng([seed, 7]).normal(size=(4, 3))
+            shift = np.einsum("nij,nj->ni", data.R_world_sensor, off[data.placement])
+            data = replace(data, p_world_sensor=data.p_world_sensor + shift)
+            estimate = kinematic.solve(data)
+            active = active_unknowns(data, estimate.torus.non_orthogonality == 0.0)
+            found = systematic(data, estimate.torus, estimate.angles.T, (estimate.sigma_t, estimate.sigma_r), active)
+            said.append(found.note is not None)
+            beside = allowing_for(estimate, data, found)
+            ratios.append((beside.offset - truth.offset) / beside.covariance.sigma(*OFFSET))
+    assert said == [False] * 4 + [True] * 4
+    assert np.sqrt(np.mean(np.square(ratios))) < 1.9
