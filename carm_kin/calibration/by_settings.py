@@ -34,6 +34,8 @@ def two_axes_arguments(recording: Recording, settings: Settings) -> dict[str, An
     """What `carm_kin.calibrate` takes besides the solver. Raises InputError for joints the recording does not have."""
     angular, orbital = settings.joint_names(recording)
     chosen: dict[str, Any] = {"locus": settings.locus, "angular": angular, "orbital": orbital}
+    if settings.known_length is not None:
+        chosen["known_length"] = settings.known_length
     if settings.systematic != AUTO:
         chosen["systematic"] = settings.systematic
     if settings.sigma_label_rad is not None:

@@ -8,6 +8,7 @@ import numpy as np
 
 import solvers
 from carm_kin.calibration.assembly import refused_result, result_of
+from carm_kin.calibration.known_length import KnownLength, scaled, with_scale
 from carm_kin.calibration.options import options_of
 from carm_kin.calibration.problem import to_problem
 from carm_kin.calibration.settings import AUTO, CIRCLE, effects_of, options_class, solver_for
@@ -46,6 +47,7 @@ def calibrate(
     sigma_t_m: float | None = None,
     sigma_r_rad: float | None = None,
     sigma_label_rad: float | None = None,
+    known_length: str | None = None,
     systematic: str | Sequence[str] = AUTO,
     limits: Limits = Limits(),
     command: str | None = None,
@@ -58,6 +60,8 @@ def calibrate(
     ``sigma_t_m`` and ``sigma_r_rad`` give the tracker's noise an axis; by default it is estimated.
     ``sigma_label_rad`` is the standard deviation of the labels of held joints, 0 for exact ones; by default that of
     rounding to their last digit.
+    ``known_length`` tells the tracker's scale: ``400:400.8``, a gauge's true length and the same as tracked, or
+    ``major_radius:80``, mm, with its one sigma behind ``+-``.
     ``systematic`` errors for which the ± and, by ``kinematic``, the estimate allow: ``auto``, ``none``, or the names of
     effects (`solvers.effects.columns.EFFECTS`).
     ``options`` are those of the solver. A refusal is a result of status ``refused``, not an exception.
@@ -66,6 +70,25 @@ def calibrate(
     """
     recording = as_recording(recording)
     name = solver_for(solver, locus)
+    if known_length is not None:
+        return _by_known_length(
+            KnownLength.of(known_length),
+            recording,
+            lambda scaled: calibrate(
+                scaled,
+                solver,
+                locus=locus,
+                angular=angular,
+                orbital=orbital,
+                sigma_t_m=sigma_t_m,
+                sigma_r_rad=sigma_r_rad,
+                sigma_label_rad=sigma_label_rad,
+                systematic=systematic,
+                limits=limits,
+                command=command,
+                **options,
+            ),
+        )
     if locus != CIRCLE:
         options["locus"] = locus
     chosen = options_of(options_class(name), name, options)
@@ -89,6 +112,18 @@ def calibrate(
         provenance_of(recording, command, options.get("seed")),
     )
     return _with_left_out(result, recording, not_measured) if again.any() else result
+
+
+def _by_known_length(
+    known: KnownLength, recording: Recording, calibrated: Callable[[Recording], CalibrationResult]
+) -> CalibrationResult:
+    """The result of the recording in the scale that the known length tells."""
+    plain = calibrated(recording) if known.name else None
+    if plain is not None and plain.refusal:
+        return plain
+    scale = known.scale_by(plain)
+    result = calibrated(scaled(recording, scale))
+    return result if result.refusal else with_scale(result, known, scale)
 
 
 def _calibrated(

@@ -99,6 +99,8 @@ class Settings:
     """Standard deviation of the labels of held joints; by default that of rounding to their last digit."""
     labels_exact: bool = False
     """Whether these labels are exact."""
+    known_length: str | None = None
+    """``400:400.8``, a gauge's true length and the same as tracked, mm, or ``major_radius:80``."""
     systematic: str = AUTO
     """Effects for which the ± allows: auto, none, or names with commas between."""
     cross_validate: int | None = None
@@ -148,6 +150,8 @@ class Settings:
             check_from_zero(named(key), getattr(self, key))
         if self.cross_validate is not None and self.cross_validate < 2:
             raise InputError(f"{named('cross_validate')} needs at least 2 parts, not {self.cross_validate}")
+        if self.known_length is not None:
+            self._check_known_length(named("known_length"), name)
         effects_of(self.systematic)
         if self.systematic != AUTO and (name == CHAIN or self.locus != CIRCLE):
             raise InputError(f"{named('systematic')}: only a C-arm of two axes has systematic effects")
@@ -156,6 +160,15 @@ class Settings:
             from carm_kin.machine.urdf import read_urdf
 
             read_urdf(self.urdf)
+
+    def _check_known_length(self, option: str, solver: str) -> None:
+        from carm_kin.calibration.known_length import KnownLength
+
+        known = KnownLength.of(self.known_length or "")
+        if solver == CHAIN:
+            raise InputError(f"{option}: the calibration of a chain takes the tracker's scale as right")
+        if known.name and self.locus != CIRCLE:
+            raise InputError(f"{option}: the locus '{self.locus}' has no {known.name}; give a gauge, such as 400:400.8")
 
     def joint_names(self, recording: Recording) -> tuple[str, str]:
         """The names of the angular and the orbital joint in the recording: given, from the URDF, or the usual ones.

@@ -50,6 +50,10 @@ def settings_options(
         _option("--sigma-label-deg", help="Error of the labels of held joints; left out: from their digits."),
     ] = None,
     labels_exact: Annotated[bool | None, _option("--labels-exact", help="The labels of held joints are exact.")] = None,
+    known_length: Annotated[
+        str | None,
+        _option("--known-length", help="TRUE:TRACKED of a gauge in mm, or major_radius:MM; '+-MM' behind it."),
+    ] = None,
     systematic: Annotated[
         str | None,
         _option(

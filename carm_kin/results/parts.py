@@ -84,6 +84,17 @@ class SigmaPart:
 
 
 @dataclass(frozen=True)
+class TrackerScale:
+    """By which all positions were multiplied, from a length that was known."""
+
+    scale: float
+    """True over tracked."""
+    sigma: float
+    known_length: str
+    """As it was given."""
+
+
+@dataclass(frozen=True)
 class SystematicEffect:
     """An effect beside the noise, as it shows in the poses: root mean squares over them."""
 

@@ -25,6 +25,7 @@ from carm_kin.results.parts import (
     SigmaPart,
     SystematicEffect,
     ToldOffset,
+    TrackerScale,
 )
 from carm_kin.results.result_json import (
     json_text,
@@ -94,6 +95,8 @@ class CalibrationResult:
     """What `sigma` is made of; empty where no systematic effects were looked for."""
     effects: tuple[SystematicEffect, ...] = ()
     """Those for which `sigma` allows."""
+    tracker_scale: TrackerScale | None = None
+    """None where no length was known."""
     deformation: Deformation | None = None
     """How the C bends; None where it is rigid as far as the poses show."""
     angles_rad: Array | None = None

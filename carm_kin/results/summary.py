@@ -273,6 +273,9 @@ def _quality(result: "CalibrationResult") -> list[Row]:
     level = _both(noise.translation_m, noise.rotation_rad)
     kind = "estimated" if noise.estimated else "given"
     rows = [Row("residuals, rms", rms), Row(f"noise an axis, {kind}", level)]
+    if result.tracker_scale is not None:
+        scale = result.tracker_scale
+        rows.append(Row("tracker's scale", f"{scale.scale:>10.5f}", f"{scale.sigma:.5f}", f"by {scale.known_length}"))
     if noise.axes is not None:
         shifts, turns = noise.axes.translation_m * 1e3, np.degrees(noise.axes.rotation_rad)
         words = [", ".join(f"{x:.3f}" for x in values) for values in (shifts, turns)]

@@ -1,0 +1,134 @@
+"""A length that the user knows, and what it says of the tracker's scale: docs/estimation.md, "A known length".
+
+Nothing in the poses tells a scale of all positions. A gauge of known length, as the tracker measured it, or a length of
+the machine from its data sheet does.
+"""
+
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from carm_kin.calibration.assembly import sigma_of
+from carm_kin.errors import InputError
+from carm_kin.recording.recording import Recording
+from carm_kin.results.parts import SigmaPart, TrackerScale
+from carm_kin.results.result import CalibrationResult
+from solvers.estimate import Covariance
+from solvers.se3 import Array
+
+OF_MACHINE = ("major_radius", "minor_radius")
+"""Lengths of the machine that may be known."""
+LEAST, MOST = 0.5, 2.0
+"""Scales beyond these are a wrong unit or a wrong length."""
+MOST_RELATIVE_SIGMA = 0.05
+"""A length of the machine that the poses tell less well says nothing of the scale."""
+FORM = re.compile(r"([a-z_]+|[0-9.eE]+):([0-9.eE]+)(?:(?:\+-|±)([0-9.eE]+))?")
+EXAMPLES = "'400:400.8' (true length and the same as tracked, mm) or 'major_radius:80', each with '+-0.1' behind it"
+
+
+@dataclass(frozen=True)
+class KnownLength:
+    """As it was given."""
+
+    text: str
+    true_m: float
+    sigma_m: float
+    """One standard deviation of the true length."""
+    tracked_m: float | None
+    """A gauge as the tracker measured it; None for a length of the machine."""
+    name: str
+    """Of the machine's length; "" for a gauge."""
+
+    @staticmethod
+    def of(text: str) -> "KnownLength":
+        """Raises InputError for a text of another form, and for lengths that are not above 0."""
+        found = FORM.fullmatch(text.strip().replace(" ", ""))
+        if found is None:
+            raise InputError(f"known_length '{text}' must be of the form {EXAMPLES}")
+        first, second, sigma = found.groups()
+        try:
+            numbers = [float(x) for x in (*(() if first in OF_MACHINE else (first,)), second, sigma or "0")]
+        except ValueError:
+            known = ", ".join(OF_MACHINE)
+            raise InputError(f"known_length '{text}': '{first}' is neither a length nor one of {known}") from None
+        if not all(np.isfinite(numbers)) or min(numbers[:-1]) <= 0:
+            raise InputError(f"known_length '{text}': lengths must be finite and above 0")
+        gauge = first not in OF_MACHINE
+        true, tracked = numbers[0] * 1e-3, numbers[1] * 1e-3 if gauge else None
+        return KnownLength(text, true, numbers[-1] * 1e-3, tracked, "" if gauge else first)
+
+    def scale_by(self, result: CalibrationResult | None) -> float:
+        """True over tracked length; a machine's by the calibration of the recording as it is.
+
+        Raises InputError for a scale that no tracker has, and where the poses do not tell the machine's length.
+        """
+        tracked = self.tracked_m
+        if tracked is None:
+            tracked = None if result is None else getattr(result, f"{self.name}_m")
+            sigma = None if result is None else getattr(result.sigma, f"{self.name}_m")
+            if not tracked or sigma is None or sigma > MOST_RELATIVE_SIGMA * tracked:
+                raise InputError(
+                    f"known_length '{self.text}': the recording does not tell the {self.name.replace('_', ' ')} to "
+                    f"{MOST_RELATIVE_SIGMA:.0%}, so that it says nothing of the tracker's scale"
+                )
+        scale = self.true_m / tracked
+        if not LEAST <= scale <= MOST:
+            raise InputError(
+                f"known_length '{self.text}': {self.true_m * 1e3:.6g} mm are {tracked * 1e3:.6g} mm by the tracker, a "
+                "scale that no tracker has; is a unit or the length wrong?"
+            )
+        return scale
+
+
+def scaled(recording: Recording, scale: float) -> Recording:
+    """The recording with all positions times ``scale``."""
+    return replace(recording, p_world_sensor=recording.p_world_sensor * scale)
+
+
+def with_scale(result: CalibrationResult, known: KnownLength, scale: float) -> CalibrationResult:
+    """The result of the scaled recording, whose uncertainty has that of the length.
+
+    With y the reported lengths, L the known one and v the machine's: y L / v has the covariance
+    A Cov Aᵀ + (σ_L / L)² y yᵀ, A = I - y e_vᵀ / v; a gauge has A = I.
+    """
+    relative = known.sigma_m / known.true_m
+    part = TrackerScale(scale, scale * relative, known.text)
+    if result.covariance is None:
+        return replace(result, tracker_scale=part)
+    names = result.covariance.names
+    y, A = _lengths(result, names), np.eye(len(names))
+    if known.name in names:
+        v = names.index(known.name)
+        A[:, v] -= y / y[v]
+        of_length = float(result.covariance.matrix[v, v])
+        part = replace(part, sigma=scale * float(np.hypot(relative, np.sqrt(of_length) / abs(y[v]))))
+    matrix = A @ result.covariance.matrix @ A.T + relative**2 * np.outer(y, y)
+    more = Covariance(names, relative**2 * np.outer(y, y))
+    offset = [f"offset_sensor_pivot_{axis}" for axis in "xyz"]
+    own = SigmaPart("scale", more.sigma(*offset), float(more.sigma("major_radius")[0])) if known.sigma_m else None
+    covariance = Covariance(names, 0.5 * (matrix + matrix.T))
+    return replace(
+        result,
+        covariance=covariance,
+        sigma=sigma_of(covariance, len(result.placements)),
+        sigma_parts=(*result.sigma_parts, own) if own and "major_radius" in names else result.sigma_parts,
+        tracker_scale=part,
+    )
+
+
+def _lengths(result: CalibrationResult, names: tuple[str, ...]) -> Array:
+    """(K,) the reported lengths, 0 for angles and directions."""
+    values: dict[str, float] = {}
+
+    def put(name: str, vector: Array | None) -> None:
+        if vector is not None:
+            values.update({f"{name}_{axis}": float(x) for axis, x in zip("xyz", vector, strict=True)})
+
+    put("offset_sensor_pivot", result.offset_sensor_pivot_m)
+    for k, placement in enumerate(result.placements):
+        put(f"torus_center_world[{k}]", placement.torus_center_world_m)
+    signed = result.major_radius_signed_m
+    values["major_radius"] = (signed if signed is not None else result.major_radius_m) or 0.0
+    values["minor_radius"] = result.minor_radius_m or 0.0
+    return np.array([values.get(name, 0.0) for name in names])
