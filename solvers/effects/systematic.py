@@ -33,6 +33,8 @@ LEAST_BLOCKS = 20
 """Fewer poses tell nothing of effects."""
 DISAGREE = 4.75
 """Gain in log-likelihood of a variance between placements that chance makes once in a thousand."""
+EXACT = 1e-6
+"""Noise below this, m and rad, is rounding, and so are its effects."""
 SAME_RHO = 0.03
 """Change of a correlation that calls for no other round."""
 ROUNDS = 3
@@ -188,7 +190,7 @@ def systematic(
     """The most likely ``effects`` in the poses of ``problem`` at the estimate ``torus``, ``angles`` (2, N), whose
     ``active`` (D,) unknowns and noise ``sigma`` (m, rad) are those of the fit."""
     blocks = Blocks.of(problem, torus, angles, sigma, active)
-    if len(blocks.middle) < LEAST_BLOCKS:
+    if len(blocks.middle) < LEAST_BLOCKS or max(sigma) < EXACT:
         effects = ()
     best = _from_nothing(_Setting.of(Scene(problem, torus, angles, sigma, blocks, FIELD_LENGTHS[0]), effects))
     if best.of_place:

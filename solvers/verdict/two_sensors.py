@@ -38,7 +38,7 @@ QUIET = 1e-3
 """Nothing is left if noise alone makes another stretch with this probability."""
 RARE = 1e-5
 """The same between placements, which are known."""
-MOST_POSES = 2000
+MOST_POSES = 1000
 """Poses from which the groups are found."""
 SHY = 0.01
 """Weight at which the other poses hold a group's displacement back: poses at one angle do not see all of it."""
