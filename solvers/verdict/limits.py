@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from solvers import told
 from solvers.estimate import Covariance, Note
 from solvers.told import FLOOR_RAD, MIN_ARC_RAD, NOISE_MULTIPLE
 
@@ -55,7 +56,7 @@ def least_arc(sigma_r: float, limits: Limits) -> float:
     A noise beyond `Limits.max_sigma_r_rad` is a misfit, and tells nothing of the arcs.
     """
     noise = min(max(sigma_r, limits.least_sigma_r_rad), limits.max_sigma_r_rad)
-    return max(limits.min_arc_rad, limits.min_arc_sigmas * noise)
+    return told.least_arc(noise, limits.min_arc_rad, limits.min_arc_sigmas)
 
 
 def uncertain(covariance: Covariance, limits: Limits) -> Note | None:

@@ -10,6 +10,7 @@ from carm_kin.calibration.assembly import conventions, noise_level, sigma_of
 from carm_kin.calibration.chain import checks, numbers
 from carm_kin.calibration.chain.model import ChainModel
 from carm_kin.calibration.chain.problem import Gathered
+from carm_kin.calibration.chain.told import left_at_rest
 from carm_kin.recording.checks import REPEATED
 from carm_kin.recording.recording import Recording
 from carm_kin.results.chain_result import BasePlacement, ChainCalibration, Origin, PoseError
@@ -155,7 +156,7 @@ def result_of_chain(
     refusal = checks.refusal(model, problem, estimate, covariance, left, limits)
     used = int(estimate.used.sum())
     error = _error(estimate.residual, estimate.used)
-    still = checks.at_rest(problem, estimate.values, limits) & (free.placements | free.offsets | free.gains)
+    still = left_at_rest(estimate, free)
     names = tuple(name for name, rests in zip(model.names, still, strict=True) if rests)
     open_ = numbers.not_identifiable(model, estimate, labels, names)
     done = replace(

@@ -9,9 +9,9 @@ import numpy as np
 
 from carm_kin.calibration.calibrate import check_noise, wrong_unit
 from carm_kin.calibration.chain.assembly import SOLVER, Blank, Recorded, result_of_chain
-from carm_kin.calibration.chain.checks import at_rest
 from carm_kin.calibration.chain.model import ChainModel, chain_model
 from carm_kin.calibration.chain.problem import gather, sensor_links_of, sensor_numbers
+from carm_kin.calibration.chain.told import at_rest, untold
 from carm_kin.calibration.options import options_of
 from carm_kin.errors import InputError, wrong_type
 from carm_kin.machine.chain import chain_of
@@ -141,7 +141,10 @@ def _repeated(recording: Recording, model: ChainModel) -> np.ndarray:
 def fit(
     problem: ChainProblem, model: ChainModel, free: Free, options: Options, limits: Limits = Limits()
 ) -> ChainEstimate | Note:
-    """The calibrated machine, or why there is none. Joints that hardly move in all poses keep their numbers."""
+    """The calibrated machine, or why there is none. Joints that hardly move in all poses keep their numbers: by the
+    values that the fit starts with, and by those that it ends with."""
+    if note := untold(problem):
+        return note
     start = start_of(problem, model.machine, [model.axes(s) for s in range(len(model.chains))])
     if isinstance(start, Note):
         return start
@@ -149,7 +152,12 @@ def fit(
         placed = solve_chain(problem, start.machine, start.values, free_of(model, NOTHING), options, start.agrees)
         begin = placed.machine if placed.converged else start.machine
         values = np.where(problem.read, problem.label, start.values)
-        return solve_chain(problem, begin, values, free.only(~at_rest(problem, values, limits)), options, start.agrees)
+        moving = free.only(~at_rest(problem, values, limits))
+        found = solve_chain(problem, begin, values, moving, options, start.agrees)
+        still = at_rest(problem, found.values, limits)
+        if not (still & (moving.placements | moving.offsets | moving.gains)).any():
+            return found
+        return solve_chain(problem, begin, values, moving.only(~still), options, start.agrees)
     except np.linalg.LinAlgError:
         return Note("unobservable", "the poses determine no machine: the equations are singular")
 

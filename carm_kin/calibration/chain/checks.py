@@ -4,15 +4,14 @@ import numpy as np
 
 from carm_kin.calibration.chain.model import ChainModel
 from carm_kin.calibration.chain.numbers import DIRECTIONS, joint_changes
+from carm_kin.calibration.chain.told import at_rest
 from carm_kin.machine.urdf import listing
 from carm_kin.results.chain_result import JointChange
 from solvers.chain.chain import ChainEstimate
-from solvers.chain.problem import ORIENTATIONS, ChainProblem
+from solvers.chain.problem import ChainProblem
 from solvers.estimate import Covariance, Note
-from solvers.se3 import Array
 from solvers.verdict.left_out import LeftOut, left_out
-from solvers.verdict.limits import Limits, least_arc, uncertain
-from solvers.verdict.observability import swept
+from solvers.verdict.limits import Limits, uncertain
 from solvers.verdict.residuals import correlated, correlation
 
 WEAK_M, WEAK_RAD = 5e-3, float(np.radians(0.5))
@@ -30,14 +29,6 @@ MOST_ALIKE = 0.99
 """Correlation of neighbouring residuals beyond which they count as this much alike."""
 LEFT_OUT_PROBABILITY = 1e-6
 """Probability of saying of sound numbers of the URDF that they should have been free."""
-
-
-def at_rest(problem: ChainProblem, values: Array, limits: Limits = Limits()) -> np.ndarray:
-    """(J,) joints that stand still, or of which the ``values`` (N, J) span less than the least arc: nothing is told of
-    their numbers, which stay nominal."""
-    least = least_arc(problem.sigma[ORIENTATIONS] or 0.0, limits)
-    little = [not slides and swept(values[:, j]) < least for j, slides in enumerate(problem.prismatic)]
-    return problem.still | np.array(little, dtype=bool)
 
 
 def unfreed(
