@@ -12,7 +12,7 @@ import numpy as np
 from carm_kin.calibrated.check import taken_as_exact
 from carm_kin.calibrated.rotation_centre import chain_at, noise_of
 from carm_kin.errors import InputError
-from carm_kin.recording.checks import REPEATED, repeated
+from carm_kin.recording.duplicates import NotMeasured
 from carm_kin.recording.formats import RecordingLike, as_recording
 from carm_kin.recording.recording import Recording
 from carm_kin.results.parts import NoiseLevel, Outliers, Rejection
@@ -26,6 +26,7 @@ from solvers.se3 import Array
 from solvers.still_point import StillPoint, still_point
 from solvers.torus import Torus
 from solvers.verdict.limits import Limits, least_arc
+from solvers.verdict.mixed_units import mixed_units
 
 MIN_POSES = 6
 PROBABILITY = 1e-6
@@ -69,7 +70,8 @@ def virtual_centre(
     own = [label for label in scan.placements if label in {known.label for known in result.placements}]
     torus = chain_at(result, own[0] if placement is None and own else placement)
     sigma = noise_of(result, sigma_t_m, sigma_r_rad)
-    again = repeated(scan.p_world_sensor, scan.R_world_sensor)
+    not_measured = NotMeasured.of(scan.p_world_sensor, scan.R_world_sensor)
+    again = not_measured.any_of
     off = _axis_off(T[~again], torus)
     astray = np.zeros(len(scan), dtype=bool)
     astray[~again] = off > OUTLIER_SIGMAS * np.hypot(sigma[1], _sigma_of_axis(result.covariance))
@@ -79,12 +81,14 @@ def virtual_centre(
         tolerance_m,
         len(scan),
         int(used.sum()),
-        _outliers(scan, {REPEATED: again, "the orbital axis stands elsewhere than at the other poses": astray}),
+        _outliers(scan, {**not_measured.reasons, "the orbital axis stands elsewhere than at the other poses": astray}),
         NoiseLevel(*sigma, estimated=None in (sigma_t_m, sigma_r_rad) and result.noise.estimated),
-        (*scan.warnings, *taken_as_exact(result), *_conventions(result)),
+        (*scan.warnings, *not_measured.notes(), *taken_as_exact(result), *_conventions(result)),
         provenance_of(scan, command, None),
     )
-    if (refusal := _refusal(used, again, off)) is not None:
+    measured = Problem.of_poses(scan.p_world_sensor[~again], scan.R_world_sensor[~again])
+    refusal = mixed_units(measured) or _refusal(used, again, off)
+    if refusal is not None:
         return replace(blank, refusal=refusal)
     found = _found(blank, scan.select(used), torus, sigma, result.covariance)
     return _with_angles(found, scan.select(used), torus, sigma)
