@@ -20,12 +20,12 @@ from carm_kin.results.provenance import provenance_of
 from carm_kin.results.result import CalibrationResult, ResultLike, as_result
 from carm_kin.results.virtual_centre_result import CentreSigma, Spread, VirtualCentre
 from carm_kin.steps import step
-from solvers.estimate import Covariance, Note
+from solvers.estimate import MEANINGLESS_M, Covariance, Note
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.still_point import StillPoint, still_point
 from solvers.torus import Torus
-from solvers.verdict.limits import Limits, least_arc
+from solvers.verdict.limits import Limits, least_arc, uncertainty
 from solvers.verdict.mixed_units import mixed_units
 
 MIN_POSES = 6
@@ -34,8 +34,6 @@ PROBABILITY = 1e-6
 OUTLIER_SIGMAS = 6.0
 """A pose whose orbital axis is off the others' by more standard deviations, of its own and of the calibrated axis, is
 left out."""
-MAX_SIGMA_M = 0.020
-"""Largest one-sigma of the centre in any direction."""
 BASE_TURNED_RAD = float(np.radians(0.5))
 """The axes may enclose an angle that differs by so much from the calibrated one, or by the noise of a pose."""
 
@@ -86,7 +84,7 @@ def virtual_centre(
         (*scan.warnings, *not_measured.notes(), *taken_as_exact(result), *_conventions(result)),
         provenance_of(scan, command, None),
     )
-    measured = Problem.of_poses(scan.p_world_sensor[~again], scan.R_world_sensor[~again])
+    measured = Problem.of_poses(T[~again, :3, 3], T[~again, :3, :3])
     refusal = mixed_units(measured) or _refusal(used, again, off)
     if refusal is not None:
         return replace(blank, refusal=refusal)
@@ -156,10 +154,10 @@ def _found(
     excess = float(np.sqrt(point.chi2 / point.dof)) if moves else 1.0
     errors = _sigma(T_world_carm, torus, point, covariance, excess)
     worst = float(max(np.linalg.eigvalsh(excess**2 * point.C_v)[-1], 0.0) ** 0.5)
-    if worst > MAX_SIGMA_M:
+    if worst > MEANINGLESS_M:
         turn = np.degrees(_turn(T_world_carm))
-        message = f"the scan turns by {turn:.2g} deg, which leaves the centre uncertain by {worst * 1e3:.2g} mm"
-        return replace(blank, refusal=Note("too_uncertain", f"{message} (one sigma): scan a longer arc"))
+        message = f"the scan turns by {turn:.2g} deg, which leaves the centre {uncertainty(worst)}: scan a longer arc"
+        return replace(blank, refusal=Note("too_uncertain", message))
     spread = _spread(scan, T_world_carm, point, point.v, sigma, probability)
     notes = (_moves(spread, excess),) if moves else ()
     found = _at(blank, scan, torus, point.v, spread)

@@ -63,8 +63,12 @@ def uncertain(covariance: Covariance, limits: Limits) -> Note | None:
     worst = float(np.sqrt(max(np.linalg.eigvalsh(covariance.block("offset"))[-1], 0.0)))
     if worst <= limits.max_offset_sigma_m:
         return None
-    so_far = f"uncertain by {worst * 1e3:.0f} mm (one sigma)" if worst < A_MACHINE_M else "not determined"
-    return Note("too_uncertain", f"the arcs are too short for the noise: the offset is {so_far}")
+    return Note("too_uncertain", f"the arcs are too short for the noise: the offset is {uncertainty(worst)}")
+
+
+def uncertainty(sigma_m: float) -> str:
+    """How uncertain something is that is not given, in words."""
+    return f"uncertain by {sigma_m * 1e3:.0f} mm (one sigma)" if sigma_m < A_MACHINE_M else "not determined"
 
 
 def misfit(sigma_t: float, sigma_r: float) -> Note:

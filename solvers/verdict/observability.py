@@ -56,6 +56,8 @@ def joints_at_rest(problem: Problem, angles: Array, sigma_r: float, limits: Limi
     here = members[int(np.argmin(arcs))] if name == "angular" else np.ones(len(problem), dtype=bool)
     where = "" if len(members) == 1 or name == "orbital" else f" at placement {int(np.argmin(arcs)) + 1}"
     unknown = "the offset along the other axis" if not where else "where the base stood there"
+    named = (problem.held >= 0).any() or np.isfinite(problem.label).any()
+    name = name if named else "second"
     return (
         f"no {name} motion{where} (it spans {np.degrees(arc):.2g} deg, at least {np.degrees(least):.2g} are needed): "
         f"the {name} axis and {unknown} are unknown",
