@@ -88,8 +88,8 @@ def check(
         provenance=provenance_of(recording, command, None),
     )
     if new.refusal and new.refusal.code in ONE_AXIS:
-        one = check_of_one_axis(blank, result, saved, recording, (sigma_t_m, sigma_r_rad))
-        return _judged(replace(one, refusal=_advised(new.refusal)))
+        blank = replace(blank, refusal=_advised(new.refusal))
+        return _judged(check_of_one_axis(blank, result, saved, recording, (sigma_t_m, sigma_r_rad)))
     if new.refusal:
         return replace(blank, refusal=_advised(new.refusal))
     used = ~np.isin(recording.pose_number, new.outliers.indices)

@@ -59,12 +59,10 @@ def _orbital(blank: Check, saved: Torus, line: ToldOffset, of_saved: list[Covari
     axis = line.untold_directions_sensor[0]
     off = saved.offset - line.nearest_sensor_m
     across = off - axis * (axis @ off)
-    sigma_t = max(one.sigma_m for one in line.told)
+    apart, sigma_t = float(np.linalg.norm(across)), max(one.sigma_m for one in line.told)
     return replace(
         _alone(blank, "orbital"),
-        offset=Length(
-            *_both(blank.tolerance_m, float(np.linalg.norm(across)), sigma_t, of_saved, "offset_sensor_pivot")
-        ),
+        offset=Length(*_both(blank.tolerance_m, apart, sigma_t, of_saved, "offset_sensor_pivot")),
         orbital_axis=Angle(
             *_both(
                 blank.tolerance_rad,
@@ -99,7 +97,7 @@ def _alone(blank: Check, joint: str) -> Check:
     """Refused in the words of the saved calibration, which knows the axes' names."""
     assert blank.refusal is not None
     words = (
-        f"the {joint} axis turned alone: where what it tells agrees with the saved calibration, the rest is open; a check "
+        f"the {joint} axis turned alone: what it tells agrees with the saved calibration, the rest is open; a check "
         "needs motion about both axes, as in a short calibration"
     )
     return replace(blank, refusal=Note(blank.refusal.code, words))
