@@ -5,9 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from carm_kin.calibration.chain.calibrate import calibrate_chain
+from carm_kin.calibration.chain.told import at_rest
 from carm_kin.recording.duplicates import COPIED
 from helpers.chained import ARM_AXES, ARM_JOINTS, C_ARM, arm, kinematics, noisy, parsed, random_values, recorded, stand
 from helpers.still import BOTH, poses
+from solvers.chain.problem import ChainProblem
 
 SIGMA_T, SIGMA_R = 0.2e-3, np.radians(0.1)
 LITTLE = {"rest": 0.0, "wobble": np.radians(0.1), "short arc": np.radians(2.0)}
@@ -33,13 +35,29 @@ def test_a_joint_that_hardly_moves_is_named_and_has_no_number(seed):
     assert "change of j3" not in str(result)
 
 
-@pytest.mark.parametrize(("sigma_deg", "named"), [(0.3, False), (1.0, True)])
-def test_readings_of_a_given_noise_need_ten_times_as_much(sigma_deg, named):
+def resting(q: np.ndarray, sigma_reading_deg: float | None = None) -> bool:
+    """Whether a joint that is read as ``q`` (N,) counts as at rest, beside poses that turn at random."""
+    n = len(q)
+    T = noisy(np.tile(np.eye(4), (n, 1, 1)), 0.1, 1.0, 0)
+    zeros, sigma = np.zeros(n, dtype=int), sigma_reading_deg and np.radians(sigma_reading_deg)
+    held = np.full((n, 1), -1)
+    problem = ChainProblem(T, zeros, zeros, held, q[:, None], np.array([False]), (None, None, sigma, None))
+    return bool(at_rest(problem, q[:, None])[0])
+
+
+def test_an_arc_is_held_against_the_noise_of_the_readings():
     """8 degrees are more than 10 times 0.3, and less than 10 times 1."""
-    given = of_arm(1, np.radians(8.0), np.radians(0.3))
-    result = calibrate_chain(given, parsed(arm()), sigma_reading_rad=np.radians(sigma_deg), **ARM_AXES)
-    assert result.chain is not None
-    assert any(words.startswith("j3: at rest") for words in result.chain.not_identifiable) == named
+    arc = np.radians(np.linspace(0, 8, 60))
+    assert [resting(arc, sigma) for sigma in (None, 0.3, 1.0)] == [False, False, True]
+
+
+def test_the_noise_of_readings_is_that_of_a_stream():
+    """A joint at rest whose readings scatter by 0.45 deg does not span 4.5 deg; one that turns slowly by 6 deg does,
+    with a noise of 0.3."""
+    white = np.random.default_rng(0).normal(size=300)
+    assert resting(np.radians(0.45) * white)
+    assert not resting(np.radians(np.linspace(0, 6, 300) + 0.3 * white))
+    assert resting(np.radians(np.linspace(0, 3, 300) + 0.3 * white))
 
 
 def test_a_slide_that_travels_by_play_is_named():
