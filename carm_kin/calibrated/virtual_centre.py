@@ -31,6 +31,8 @@ from solvers.verdict.mixed_units import mixed_units
 MIN_POSES = 6
 PROBABILITY = 1e-6
 """Less probable spreads are not taken for noise."""
+LEAST_USED = 0.7
+"""Share of the measured poses at which the orbital axis has to stand still: else it moved."""
 OUTLIER_SIGMAS = 6.0
 """A pose whose orbital axis is off the others' by more standard deviations, of its own and of the calibrated axis, is
 left out."""
@@ -122,7 +124,7 @@ def _outliers(scan: Recording, masks: dict[str, np.ndarray]) -> Outliers:
 
 def _refusal(used: np.ndarray, again: np.ndarray, off: Array) -> Note | None:
     measured = int((~again).sum())
-    if measured >= MIN_POSES and used.sum() < 0.5 * measured:
+    if measured >= MIN_POSES and used.sum() < LEAST_USED * measured:
         return Note(
             "axis_moves",
             f"the calibrated orbital axis does not stand still: it turns by up to {np.degrees(off.max()):.1f} deg. "

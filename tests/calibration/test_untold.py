@@ -69,7 +69,7 @@ def test_a_chain_names_the_axis_that_turned(kind, seed):
 @every_kind
 @every_seed
 def test_a_surface_names_the_circle(kind, seed):
-    result = carm_kin.calibrate(recording(kind, seed), "surface")
+    result = carm_kin.calibrate(recording(kind, seed), "surface", max_iterations=20)
     assert_nothing(result)
     if kind in ALONE:
         assert "the positions lie on one circle" in result.refusal.message
@@ -90,6 +90,33 @@ def test_the_live_view_shows_numbers_of_what_is_told_alone(kind):
         now = current([Pose(T, Marks()) for T in poses(kind, seed)], 1000)
         assert (now.offset_m is None) == (now.swept_rad is None) == (now.refusal != "") == (kind != BOTH)
         assert kind not in ALONE or "one axis turned" in now.refusal or "one direction only" in now.refusal
+
+
+@every_kind
+@every_seed
+def test_a_centre_is_given_where_the_orbital_axis_turned_alone(saved, kind, seed):
+    """Beside a wobble or sag of the angular axis as well; not where that swept an arc of its own."""
+    found = carm_kin.virtual_centre(saved, recording(kind, seed))
+    if kind in ("orbital alone", "orbital, wobble", "orbital, jitter"):
+        assert found.status == "fixed"
+        assert np.linalg.norm(found.centre_carm_m) < 1e-3
+        assert "0.000 mm (fixed)" in str(found)
+    else:
+        assert found.status == "refused"
+        assert found.centre_carm_m is found.centre_sensor_m is found.centre_world_m is found.path_radius_m is None
+
+
+def test_a_centre_counts_copies_once_and_refuses_two_units(saved):
+    scan = recording("orbital alone", 0)
+    p, R = scan.p_world_sensor, scan.R_world_sensor
+    once = carm_kin.virtual_centre(saved, scan)
+    twice = carm_kin.virtual_centre(saved, carm_kin.Recording(np.concatenate([p, p]), np.concatenate([R, R])))
+    assert twice.used == once.used
+    assert "copied_poses" in {note.code for note in twice.warnings}
+    np.testing.assert_allclose(twice.sigma.centre_carm_m, once.sigma.centre_carm_m)
+    p = p.copy()
+    p[:40] /= 10
+    assert carm_kin.virtual_centre(saved, carm_kin.Recording(p, R)).refusal.code == "mixed_units"
 
 
 @pytest.mark.parametrize("seed", SEEDS)
