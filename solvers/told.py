@@ -51,17 +51,30 @@ class Turned:
 
 def turn_noise(problem: Problem) -> TurnNoise:
     """The given noise, that of the third differences of neighbouring frames of a stream, or the floor."""
-    if problem.sigma_r is not None:
-        return TurnNoise(problem.sigma_r, 0.0)
-    found = _of_frames(problem)
+    return noise_of_turns(problem.rotations, problem.placement, problem.sigma_r)
+
+
+def noise_of_turns(R: Array, stretch: np.ndarray, sigma_r: float | None) -> TurnNoise:
+    """`turn_noise` of orientations R (N, 3, 3) in stretches of time (numbers (N,)), with the given noise or None."""
+    if sigma_r is not None:
+        return TurnNoise(sigma_r, 0.0)
+    found = _noise_of_frames(_steps_of(R), stretch)
     if found is None or found > MOST_NOISE_RAD:
         return TurnNoise(FLOOR_RAD, FROM_FLOOR * FLOOR_RAD**2)
     return TurnNoise(found, FROM_FRAMES * found**2)
 
 
-def least_arc(sigma_r: float) -> float:
+def noise_of_readings(q: Array, stretch: np.ndarray, sigma: float | None) -> float:
+    """Noise, rad, of an angle (N,) that is read at every pose, as `noise_of_turns` has it; NaN are no readings."""
+    if sigma is not None:
+        return sigma
+    found = _noise_of_frames(np.diff(q)[:, None], stretch)
+    return FLOOR_RAD if found is None or found > MOST_NOISE_RAD else found
+
+
+def least_arc(sigma_r: float, min_arc: float = MIN_ARC_RAD, multiple: float = NOISE_MULTIPLE) -> float:
     """The arc, rad, by which a rotation must be swept to be told, with the orientation noise ``sigma_r``, rad."""
-    return max(MIN_ARC_RAD, NOISE_MULTIPLE * sigma_r)
+    return max(min_arc, multiple * sigma_r)
 
 
 def turned(problem: Problem, sigma_r: float) -> Turned:
@@ -97,12 +110,16 @@ def scatter(problem: Problem) -> Array:
     return total / len(R)
 
 
-def _of_frames(problem: Problem) -> float | None:
-    """Robust standard deviation of the orientations by their third differences; None for too few frames."""
-    R, placement = problem.rotations, problem.placement
-    step = log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+def _steps_of(R: Array) -> Array:
+    """(N - 1, 3) rotation vectors from each orientation to the next."""
+    return log_so3(np.swapaxes(R[:-1], 1, 2) @ R[1:])
+
+
+def _noise_of_frames(step: Array, stretch: np.ndarray) -> float | None:
+    """Robust standard deviation of what steps by ``step`` (N - 1, K), by its third differences within each stretch
+    (N,); None for too few frames."""
     third = step[2:] - 2 * step[1:-1] + step[:-2]
-    third = third[placement[3:] == placement[:-3]]
+    third = third[(stretch[3:] == stretch[:-3]) & np.isfinite(third).all(axis=1)]
     if len(third) < LEAST_FRAMES:
         return None
     return float(MEDIAN_TO_SIGMA * np.median(np.abs(third)) / np.linalg.norm(DIFFERENCE))

@@ -37,8 +37,8 @@ PLAN = {
     "calibrated": "calibration ground machine recording results solvers.estimate solvers.kinematic solvers.likelihood "
     "solvers.nearest solvers.problem solvers.se3 solvers.still_point solvers.torus solvers.verdict",
     "calibration": "ground machine recording results solvers solvers.chain solvers.effects solvers.estimate "
-    "solvers.kinematic solvers.likelihood solvers.pivot solvers.plugins solvers.problem solvers.se3 solvers.torus "
-    "solvers.verdict",
+    "solvers.kinematic solvers.likelihood solvers.pivot solvers.plugins solvers.problem solvers.se3 solvers.told "
+    "solvers.torus solvers.verdict",
     "simulation": "ground machine recording results solvers.estimate solvers.problem solvers.se3 solvers.torus",
     "results": "ground recording solvers.estimate solvers.likelihood solvers.se3 solvers.torus",
     "recording": "ground solvers.estimate solvers.plugins solvers.problem solvers.se3",

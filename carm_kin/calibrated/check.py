@@ -10,6 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from carm_kin.calibrated.check_one_axis import check_of_one_axis
+from carm_kin.calibrated.margin import SIGMAS, against, worst
 from carm_kin.calibration.calibrate import calibrate
 from carm_kin.calibration.cross_validate import torus_of
 from carm_kin.calibration.problem import to_problem
@@ -18,7 +20,8 @@ from carm_kin.recording.formats import RecordingLike, as_recording
 from carm_kin.results.check_result import Angle, Check, Length
 from carm_kin.results.provenance import provenance_of
 from carm_kin.results.result import CalibrationResult, ResultLike, as_result
-from solvers.estimate import Covariance, Note
+from carm_kin.results.shown import angle_determined, length_determined
+from solvers.estimate import Note
 from solvers.kinematic import fit_angles
 from solvers.likelihood.covariance import active_unknowns, marginal_covariance
 from solvers.likelihood.linearise import MOUNT_ROLL
@@ -26,8 +29,8 @@ from solvers.likelihood.placing import Fit, place
 from solvers.problem import Problem
 from solvers.torus import SENSE_RADIUS_M, Torus
 
-SIGMAS = 3.0
-"""How many standard deviations a difference may have beyond the tolerance."""
+ONE_AXIS = ("one_axis_only", "unobservable")
+"""Refusals of a recording in which one axis turned at most."""
 MACHINE = 7
 """Unknowns of the machine and the mount that the saved calibration holds fixed."""
 UNSEEN_SLIP = (
@@ -51,8 +54,9 @@ def check(
 ) -> Check:
     """Apply a saved calibration to a new recording of the same C-arm and sensor; both may be paths.
 
-    The recording needs motion about both axes and enough poses: where three standard deviations of the offset's
-    or the axis' change exceed the tolerance, it could not show what it is asked for and is refused. Labels are
+    The recording needs motion about both axes and enough poses. Where one axis turned alone, what it tells is compared
+    and may fail; it passes nothing, and ``unseen`` names what it could not show. Where three standard deviations of the
+    offset's or the axis' change exceed the tolerance, it could not show what it is asked for and is refused. Labels are
     used where there are any; ``sigma_label_rad`` is their standard deviation, 0 for exact ones, by default that of
     rounding to their last digit. ``sigma_t_m`` and ``sigma_r_rad`` give the tracker's noise.
 
@@ -83,6 +87,9 @@ def check(
         warnings=new.warnings,
         provenance=provenance_of(recording, command, None),
     )
+    if new.refusal and new.refusal.code in ONE_AXIS:
+        blank = replace(blank, refusal=_advised(new.refusal))
+        return _judged(check_of_one_axis(blank, result, saved, recording, (sigma_t_m, sigma_r_rad)))
     if new.refusal:
         return replace(blank, refusal=_advised(new.refusal))
     used = ~np.isin(recording.pose_number, new.outliers.indices)
@@ -108,31 +115,39 @@ def _compared(
     noise = (new.noise.translation_m or 0.0, new.noise.rotation_rad or 0.0)
     fixed, free = place(problem, saved, torus, noise), place(problem, torus, torus, noise)
     mm, deg = blank.tolerance_m, blank.tolerance_rad
-    return replace(
+    found = replace(
         blank,
-        offset=Length(*_against(mm, float(np.linalg.norm(moved)), _worst(both, "offset_sensor_pivot"))),
+        offset=Length(*against(mm, float(np.linalg.norm(moved)), worst(both, "offset_sensor_pivot"))),
         orbital_axis=Angle(
-            *_against(
+            *against(
                 deg,
                 float(np.arctan2(np.linalg.norm(turned), saved.orbital_axis @ axis)),
-                _worst(both, "orbital_axis_sensor"),
+                worst(both, "orbital_axis_sensor"),
             )
         ),
-        orbital_zero=Angle(*_against(deg, *_turn(saved, torus, problem))) if _same_zero(saved, torus) else None,
+        orbital_zero=Angle(*against(deg, *_turn(saved, torus, problem))) if _same_zero(saved, torus) else None,
         major_radius=Length(
-            *_against(mm, abs(abs(torus.major_radius) - abs(saved.major_radius)), _worst(both, "major_radius"))
+            *against(mm, abs(abs(torus.major_radius) - abs(saved.major_radius)), worst(both, "major_radius"))
         ),
-        non_orthogonality=Angle(*_against(deg, _skewness(saved, torus), _worst(both, "axis_non_orthogonality"))),
-        pose_position=Length(*_against(mm, *_excess(fixed, free, 0))),
-        pose_rotation=Angle(*_against(deg, *_excess(fixed, free, 1))),
+        non_orthogonality=Angle(*against(deg, _skewness(saved, torus), worst(both, "axis_non_orthogonality"))),
+        pose_position=Length(*against(mm, *_excess(fixed, free, 0))),
+        pose_rotation=Angle(*against(deg, *_excess(fixed, free, 1))),
         unseen=() if _same_zero(saved, torus) else (UNSEEN_SLIP,),
         warnings=(*blank.warnings, *taken_as_exact(result)),
     )
+    return _without_undetermined(found)
 
 
-def _against(tolerance: float, difference: float, sigma: float) -> tuple[float, float, float, bool]:
-    limit = tolerance + SIGMAS * float(sigma)
-    return float(difference), float(sigma), limit, bool(difference <= limit)
+def _without_undetermined(found: Check) -> Check:
+    """What is not determined is no number but named among what is not seen."""
+    radius, skew = found.major_radius, found.non_orthogonality
+    unseen = found.unseen
+    if radius and not length_determined(radius.sigma_m):
+        found, unseen = replace(found, major_radius=None), (*unseen, "a change of the major radius: not determined")
+    if skew and not angle_determined(skew.sigma_rad):
+        words = "a change of the non-orthogonality: not determined"
+        found, unseen = replace(found, non_orthogonality=None), (*unseen, words)
+    return replace(found, unseen=unseen)
 
 
 def _same_zero(saved: Torus, torus: Torus) -> bool:
@@ -145,12 +160,6 @@ def taken_as_exact(result: CalibrationResult) -> tuple[Note, ...]:
         return ()
     message = f"the saved calibration by '{result.solver}' gives no uncertainty: it is taken as exact"
     return (Note("no_saved_covariance", message),)
-
-
-def _worst(covariances: list[Covariance], name: str) -> float:
-    """One sigma of the difference of the two values, in the worst direction where they are vectors."""
-    total = np.sum([c.block(name) for c in covariances], axis=0)
-    return float(np.sqrt(max(np.linalg.eigvalsh(total)[-1], 0.0)))
 
 
 def _turn(saved: Torus, torus: Torus, problem: Problem) -> tuple[float, float]:
@@ -178,7 +187,8 @@ def _excess(fixed: Fit, free: Fit, kind: int) -> tuple[float, float]:
 
 
 def _judged(found: Check) -> Check:
-    """Passed, failed, or refused where the recording could not show a change of the size of the tolerance."""
+    """Passed, failed, or refused where the recording could not show a change of the size of the tolerance, or a change
+    of everything."""
     compared = {
         "the offset differs": found.offset,
         "the orbital axis in the sensor differs": found.orbital_axis,
@@ -190,7 +200,9 @@ def _judged(found: Check) -> Check:
     }
     failures = tuple(f"{words} by {_in_words(c)}" for words, c in compared.items() if c and not c.within)
     if failures:
-        return replace(found, status="failed", failures=failures)
+        return replace(found, status="failed", failures=failures, refusal=None)
+    if found.refusal:
+        return found
     if (refusal := _blind(found)) is not None:
         return replace(found, refusal=refusal)
     return replace(found, status="passed")

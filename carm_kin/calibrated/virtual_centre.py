@@ -12,7 +12,7 @@ import numpy as np
 from carm_kin.calibrated.check import taken_as_exact
 from carm_kin.calibrated.rotation_centre import chain_at, noise_of
 from carm_kin.errors import InputError
-from carm_kin.recording.checks import REPEATED, repeated
+from carm_kin.recording.duplicates import NotMeasured
 from carm_kin.recording.formats import RecordingLike, as_recording
 from carm_kin.recording.recording import Recording
 from carm_kin.results.parts import NoiseLevel, Outliers, Rejection
@@ -20,21 +20,22 @@ from carm_kin.results.provenance import provenance_of
 from carm_kin.results.result import CalibrationResult, ResultLike, as_result
 from carm_kin.results.virtual_centre_result import CentreSigma, Spread, VirtualCentre
 from carm_kin.steps import step
-from solvers.estimate import Covariance, Note
+from solvers.estimate import MEANINGLESS_M, Covariance, Note
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.still_point import StillPoint, still_point
 from solvers.torus import Torus
-from solvers.verdict.limits import Limits, least_arc
+from solvers.verdict.limits import Limits, least_arc, uncertainty
+from solvers.verdict.mixed_units import mixed_units
 
 MIN_POSES = 6
 PROBABILITY = 1e-6
 """Less probable spreads are not taken for noise."""
+LEAST_USED = 0.7
+"""Share of the measured poses at which the orbital axis has to stand still: else it moved."""
 OUTLIER_SIGMAS = 6.0
 """A pose whose orbital axis is off the others' by more standard deviations, of its own and of the calibrated axis, is
 left out."""
-MAX_SIGMA_M = 0.020
-"""Largest one-sigma of the centre in any direction."""
 BASE_TURNED_RAD = float(np.radians(0.5))
 """The axes may enclose an angle that differs by so much from the calibrated one, or by the noise of a pose."""
 
@@ -69,7 +70,8 @@ def virtual_centre(
     own = [label for label in scan.placements if label in {known.label for known in result.placements}]
     torus = chain_at(result, own[0] if placement is None and own else placement)
     sigma = noise_of(result, sigma_t_m, sigma_r_rad)
-    again = repeated(scan.p_world_sensor, scan.R_world_sensor)
+    not_measured = NotMeasured.of(scan.p_world_sensor, scan.R_world_sensor)
+    again = not_measured.any_of
     off = _axis_off(T[~again], torus)
     astray = np.zeros(len(scan), dtype=bool)
     astray[~again] = off > OUTLIER_SIGMAS * np.hypot(sigma[1], _sigma_of_axis(result.covariance))
@@ -79,12 +81,14 @@ def virtual_centre(
         tolerance_m,
         len(scan),
         int(used.sum()),
-        _outliers(scan, {REPEATED: again, "the orbital axis stands elsewhere than at the other poses": astray}),
+        _outliers(scan, {**not_measured.reasons, "the orbital axis stands elsewhere than at the other poses": astray}),
         NoiseLevel(*sigma, estimated=None in (sigma_t_m, sigma_r_rad) and result.noise.estimated),
-        (*scan.warnings, *taken_as_exact(result), *_conventions(result)),
+        (*scan.warnings, *not_measured.notes(), *taken_as_exact(result), *_conventions(result)),
         provenance_of(scan, command, None),
     )
-    if (refusal := _refusal(used, again, off)) is not None:
+    measured = Problem.of_poses(T[~again, :3, 3], T[~again, :3, :3])
+    refusal = mixed_units(measured) or _refusal(used, again, off)
+    if refusal is not None:
         return replace(blank, refusal=refusal)
     found = _found(blank, scan.select(used), torus, sigma, result.covariance)
     return _with_angles(found, scan.select(used), torus, sigma)
@@ -120,7 +124,7 @@ def _outliers(scan: Recording, masks: dict[str, np.ndarray]) -> Outliers:
 
 def _refusal(used: np.ndarray, again: np.ndarray, off: Array) -> Note | None:
     measured = int((~again).sum())
-    if measured >= MIN_POSES and used.sum() < 0.5 * measured:
+    if measured >= MIN_POSES and used.sum() < LEAST_USED * measured:
         return Note(
             "axis_moves",
             f"the calibrated orbital axis does not stand still: it turns by up to {np.degrees(off.max()):.1f} deg. "
@@ -152,10 +156,10 @@ def _found(
     excess = float(np.sqrt(point.chi2 / point.dof)) if moves else 1.0
     errors = _sigma(T_world_carm, torus, point, covariance, excess)
     worst = float(max(np.linalg.eigvalsh(excess**2 * point.C_v)[-1], 0.0) ** 0.5)
-    if worst > MAX_SIGMA_M:
+    if worst > MEANINGLESS_M:
         turn = np.degrees(_turn(T_world_carm))
-        message = f"the scan turns by {turn:.2g} deg, which leaves the centre uncertain by {worst * 1e3:.2g} mm"
-        return replace(blank, refusal=Note("too_uncertain", f"{message} (one sigma): scan a longer arc"))
+        message = f"the scan turns by {turn:.2g} deg, which leaves the centre {uncertainty(worst)}: scan a longer arc"
+        return replace(blank, refusal=Note("too_uncertain", message))
     spread = _spread(scan, T_world_carm, point, point.v, sigma, probability)
     notes = (_moves(spread, excess),) if moves else ()
     found = _at(blank, scan, torus, point.v, spread)

@@ -26,6 +26,7 @@ from carm_kin.results.parts import (
     ToldOffset,
 )
 from carm_kin.results.result import CalibrationResult
+from carm_kin.results.shown import FIXED_SIGMA
 from solvers.estimate import Correlation, Covariance, Deformed, Estimate, Note, Told
 from solvers.problem import NoiseShape, Problem
 from solvers.se3 import Array
@@ -156,7 +157,7 @@ def _placements(recording: Recording, estimate: Estimate) -> tuple[Placement, ..
 
 
 def sigma_of(covariance: Covariance | None, placements: int) -> Sigma:
-    """One-sigma values under the names of the result."""
+    """One-sigma values under the names of the result; None of what was held fixed."""
     if covariance is None:
         return Sigma()
 
@@ -165,7 +166,8 @@ def sigma_of(covariance: Covariance | None, placements: int) -> Sigma:
         return covariance.sigma(*names) if names[0] in covariance.names else None
 
     def scalar(name: str) -> float | None:
-        return float(covariance.sigma(name)[0]) if name in covariance.names else None
+        sigma = float(covariance.sigma(name)[0]) if name in covariance.names else 0.0
+        return sigma if sigma >= FIXED_SIGMA else None
 
     return Sigma(
         vector("offset_sensor_pivot"),

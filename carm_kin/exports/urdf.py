@@ -105,4 +105,5 @@ def _shape_sigma(result: CalibrationResult) -> str:
     radius, epsilon = result.sigma.major_radius_m, result.sigma.axis_non_orthogonality_rad
     words = [] if radius is None else [f"{radius * 1e3:.4f} mm"]
     words += [] if epsilon is None else [f"{degrees(epsilon):.5f} deg"]
+    words += [f"{quantity} fixed" for quantity in result.fixed]
     return ", ".join(words) or "unknown, the solver gives none"

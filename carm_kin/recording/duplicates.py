@@ -7,6 +7,7 @@ poses.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -32,6 +33,7 @@ class NotMeasured:
     """(N,) masks by what the list of outliers says of the poses; no pose is in two of them."""
 
     reasons: Mapping[str, np.ndarray]
+    REASONS: ClassVar = (REPEATED, COPIED, STANDING)
 
     @staticmethod
     def of(p_world_sensor: Array, R_world_sensor: Array | None) -> "NotMeasured":

@@ -11,6 +11,7 @@ from carm_kin.report.marks import Axis, Chart, Line, Mark, Panel, Points
 from carm_kin.report.poses import short
 from carm_kin.report.words import number, with_sigma
 from carm_kin.results.result import CalibrationResult, ResultLike, as_result
+from carm_kin.results.shown import FIXED, only_determined
 from solvers.se3 import Array
 
 HEAD = (
@@ -59,7 +60,7 @@ class Comparison:
 
 def comparison_of(compared: Mapping[str, ResultLike], truth: ResultLike | None = None) -> Comparison:
     """Results by name, against the truth, or against their median where none is known."""
-    results = {name: as_result(result) for name, result in compared.items()}
+    results = {name: only_determined(as_result(result)) for name, result in compared.items()}
     reference = _reference(results, None if truth is None else as_result(truth))
     lines = tuple(_line(name, result, reference) for name, result in results.items())
     against = "the truth" if truth else "the median of the offsets here"
@@ -86,12 +87,21 @@ def _line(name: str, result: CalibrationResult, reference: Array | None) -> Resu
         cells = [_cell(x, deviation, 1e3) for x, deviation in zip(offset, deviations, strict=True)]
     off = None if offset is None or reference is None else float(np.linalg.norm(offset - reference)) * 1e3
     cells += [
-        _cell(result.major_radius_m, sigma.major_radius_m, 1e3),
-        _cell(result.axis_non_orthogonality_rad, sigma.axis_non_orthogonality_rad, degrees(1)),
+        _held(result, "major_radius", _cell(result.major_radius_m, sigma.major_radius_m, 1e3)),
+        _held(
+            result,
+            "axis_non_orthogonality",
+            _cell(result.axis_non_orthogonality_rad, sigma.axis_non_orthogonality_rad, degrees(1)),
+        ),
         _cell(result.residuals.translation_rms_m, None, 1e3),
         Cell() if off is None else Cell(number(off)),
     ]
     return Result(name, tuple(cells))
+
+
+def _held(result: CalibrationResult, quantity: str, cell: Cell) -> Cell:
+    """The cell, with a word where the quantity was not estimated."""
+    return Cell(f"{cell.value} ({FIXED})") if quantity in result.fixed else cell
 
 
 def _cell(value: float | None, sigma: float | None, unit: float) -> Cell:

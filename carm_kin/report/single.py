@@ -17,6 +17,8 @@ from carm_kin.report.scene import scene
 from carm_kin.results.chain_result import ChainCalibration
 from carm_kin.results.held_out import HeldOut
 from carm_kin.results.result import CalibrationResult, ResultLike, as_result
+from carm_kin.results.shown import NOT_DETERMINED, determined
+from carm_kin.results.summary import MOST_SIGMA
 from carm_kin.steps import step
 from carm_kin.version import __version__
 
@@ -117,11 +119,18 @@ def _joints(chain: ChainCalibration) -> list[list[str]]:
             rows.append(("zero", joint.zero_m * 1e3, joint.zero_sigma_m * 1e3, "mm"))
         rows.append(("gain", joint.gain * 1e2, joint.gain_sigma * 1e2, "%"))
         lines += [
-            [joint.joint, name, *words.with_sigma(float(value), float(sigma)), unit]
+            [joint.joint, name, *_number(float(value), float(sigma), unit)]
             for name, value, sigma, unit in rows
             if name in joint.estimated
         ]
     return lines
+
+
+def _number(value: float, sigma: float, unit: str) -> tuple[str, str, str]:
+    """The value, its sigma and its unit."""
+    if not determined(sigma, MOST_SIGMA.get(unit, np.inf)):
+        return NOT_DETERMINED, "", ""
+    return *words.with_sigma(value, sigma), unit
 
 
 def _provenance(result: CalibrationResult) -> list[list[str]]:

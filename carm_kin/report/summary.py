@@ -16,6 +16,7 @@ from carm_kin.report.page import write_page
 from carm_kin.report.poses import short
 from carm_kin.report.words import number, with_sigma
 from carm_kin.results.result import CalibrationResult, ResultLike, as_result
+from carm_kin.results.shown import only_determined
 from carm_kin.version import __version__
 
 HEAD = (
@@ -54,7 +55,7 @@ def write_summary(
     ``links`` gives the names of files beside the page, such as the report of each recording. Raises InputError
     where the place cannot be written.
     """
-    known = {name: as_result(result) for name, result in results.items()}
+    known = {name: only_determined(as_result(result)) for name, result in results.items()}
     drawn = dict(list(known.items())[:: max(1, -(-len(known) // MOST_DRAWN))])
     lines = [_line(name, result, (links or {}).get(name, "")) for name, result in known.items()]
     write_page(
@@ -84,7 +85,7 @@ def _line(name: str, result: CalibrationResult, link: str) -> _Line:
     cells = (
         result.status,
         "–" if offset is None else ", ".join(f"{x * 1e3:.2f}" for x in offset),
-        "–" if sigma is None else number(float(np.linalg.norm(sigma)) * 1e3),
+        "–" if sigma is None or offset is None else number(float(np.linalg.norm(sigma)) * 1e3),
         radius,
         f"{result.residuals.translation_rms_m * 1e3:.3f}",
         f"{result.used} of {result.poses}",

@@ -7,7 +7,8 @@ import numpy as np
 
 from carm_kin.results.parts import ToldOffset
 from carm_kin.results.result import CalibrationResult
-from carm_kin.results.summary import MOST_SIGMA, NOT_DETERMINED
+from carm_kin.results.shown import FIXED, NOT_DETERMINED, determined, direction_determined, length_determined
+from carm_kin.results.summary import MOST_SIGMA
 from solvers.se3 import Array
 
 
@@ -35,6 +36,8 @@ def verdict(result: CalibrationResult) -> str:
         return f"Calibrated from {share}; the solver '{result.solver}' cannot tell the offset."
     if sigma is None:
         return f"Calibrated from {share}; the solver '{result.solver}' gives no uncertainty."
+    if not length_determined(sigma):
+        return f"Calibrated from {share}; the offset is not determined."
     return (
         f"Calibrated from {share}; the offset is known to {number(float(np.linalg.norm(sigma)) * 1e3)} mm (one sigma)."
     )
@@ -46,11 +49,21 @@ def rows_of(result: CalibrationResult) -> tuple[Row, ...]:
     rows = [
         _vector("Offset: rotation centre in the sensor", result.offset_sensor_pivot_m, sigma.offset_sensor_pivot_m),
         _major_radius(result),
-        _length("Minor radius", result.minor_radius_m, sigma.minor_radius_m),
-        _angle("Non-orthogonality of the axes", result.axis_non_orthogonality_rad, sigma.axis_non_orthogonality_rad),
+        _length("Minor radius", result.minor_radius_m, sigma.minor_radius_m, _fixed(result, "minor_radius")),
+        _angle(
+            "Non-orthogonality of the axes",
+            result.axis_non_orthogonality_rad,
+            sigma.axis_non_orthogonality_rad,
+            _fixed(result, "axis_non_orthogonality"),
+        ),
         _direction("Orbital axis in the sensor", result.orbital_axis_sensor, sigma.orbital_axis_sensor),
     ]
     return (*_told(result.told), *(row for row in rows if row is not None))
+
+
+def _fixed(result: CalibrationResult, quantity: str) -> str:
+    """The remark on a quantity that was not estimated."""
+    return FIXED if quantity in result.fixed else ""
 
 
 def _told(told: ToldOffset | None) -> tuple[Row, ...]:
@@ -89,7 +102,7 @@ def placement_rows(result: CalibrationResult) -> tuple[tuple[str, tuple[Row, ...
 
 def quality_rows(result: CalibrationResult) -> tuple[Row, ...]:
     """What the poses leave."""
-    if result.used == 0:
+    if result.used == 0 or not result.noise.translation_m:
         return ()
     residuals, noise = result.residuals, result.noise
     kind = "estimated" if noise.estimated else "given"
@@ -121,7 +134,7 @@ def with_sigma(value: float, sigma: float | None) -> tuple[str, str]:
 
 
 def _row(name: str, values: list[float], sigmas: list[float] | None, unit: str, remark: str = "") -> Row:
-    if sigmas is not None and not max(sigmas) <= MOST_SIGMA.get(unit, np.inf):
+    if not determined(None if sigmas is None else np.array(sigmas), MOST_SIGMA.get(unit, np.inf)):
         return Row(name, (NOT_DETERMINED,), (), "", remark)
     pairs = [with_sigma(v, None if sigmas is None else sigmas[k]) for k, v in enumerate(values)]
     known = tuple(s for _, s in pairs) if all(s for _, s in pairs) else ()
@@ -132,10 +145,9 @@ def _length(name: str, value: float | None, sigma: float | None, remark: str = "
     return None if value is None else _row(name, [value * 1e3], None if sigma is None else [sigma * 1e3], "mm", remark)
 
 
-def _angle(name: str, value: float | None, sigma: float | None) -> Row | None:
-    fixed = "fixed" if sigma == 0.0 else ""
+def _angle(name: str, value: float | None, sigma: float | None, remark: str = "") -> Row | None:
     sigmas = None if sigma is None else [degrees(sigma)]
-    return None if value is None else _row(name, [degrees(value)], sigmas, "deg", fixed)
+    return None if value is None else _row(name, [degrees(value)], sigmas, "deg", remark)
 
 
 def _vector(name: str, value: Array | None, sigma: Array | None) -> Row | None:
@@ -150,13 +162,15 @@ def _direction(name: str, value: Array | None, sigma: Array | None) -> Row | Non
     values = tuple(f"{x:+.5f}" for x in value)
     if sigma is None:
         return Row(name, values, (), "")
+    if not direction_determined(sigma):
+        return Row(name, (NOT_DETERMINED,), (), "")
     return Row(name, values, (), "", f"± {number(degrees(float(np.linalg.norm(sigma))))} deg")
 
 
 def _major_radius(result: CalibrationResult) -> Row | None:
     """With an upper limit instead of a sigma where it is not told from 0."""
-    interval = result.major_radius_interval_95_m
-    if interval is None or interval[0] > 0:
-        return _length("Major radius: distance of the axes", result.major_radius_m, result.sigma.major_radius_m)
+    interval, name = result.major_radius_interval_95_m, "Major radius: distance of the axes"
+    if interval is None or interval[0] > 0 or not length_determined(result.sigma.major_radius_m):
+        return _length(name, result.major_radius_m, result.sigma.major_radius_m, _fixed(result, "major_radius"))
     remark = f"at most {interval[1] * 1e3:.3f} mm (95%)"
-    return _length("Major radius: distance of the axes", result.major_radius_m, None, remark)
+    return _length(name, result.major_radius_m, None, remark)

@@ -48,7 +48,7 @@ class Angle:
 
 @dataclass(frozen=True, eq=False)
 class Check:
-    """What `carm_kin.check` returns. Nothing is compared where the recording is refused."""
+    """What `carm_kin.check` returns. Of a refused recording that alone is compared which an axis that turned tells."""
 
     status: str
     """``passed``, ``failed`` or ``refused``."""

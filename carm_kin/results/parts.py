@@ -32,7 +32,7 @@ class PlacementSigma:
 
 @dataclass(frozen=True, eq=False)
 class Sigma:
-    """One-sigma values under the names of the result; None where the solver gives none."""
+    """One-sigma values under the names of the result; None where the solver gives none, or the number was fixed."""
 
     offset_sensor_pivot_m: Array | None = None
     major_radius_m: float | None = None

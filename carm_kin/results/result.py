@@ -35,6 +35,7 @@ from carm_kin.results.result_json import (
     read_object,
     to_json_value,
 )
+from carm_kin.results.shown import fixed_quantities
 from carm_kin.results.summary import in_mm, result_lines, result_rows, text_of
 from solvers.estimate import Covariance, Note
 from solvers.likelihood.covariance import interval_of_magnitude, radius_95
@@ -45,7 +46,7 @@ if TYPE_CHECKING:
 
 SCHEMA = "carm-kin/result/1"
 NOT_IN_FILE = ("angles_rad",)
-INTERVAL, WITHIN = "major_radius_interval_95_m", "offset_within_95_m"
+INTERVAL, WITHIN, HELD = "major_radius_interval_95_m", "offset_within_95_m", "fixed"
 """Written to the file although they follow from other numbers there."""
 TOLERANCE = 1e-6
 """How far the axes and rotations of a file may be from unit length and orthonormality."""
@@ -139,6 +140,11 @@ class CalibrationResult:
         return _interval(self.major_radius_m, self.sigma.major_radius_m)
 
     @property
+    def fixed(self) -> tuple[str, ...]:
+        """Quantities that were held instead of estimated, such as ``axis_non_orthogonality``; they have no sigma."""
+        return fixed_quantities(self.covariance, self.major_radius_m)
+
+    @property
     def offset_within_95_m(self) -> float | None:
         """How far off the offset may be: the radius of the ball about it that holds the true one with 95%, by the
         stated covariance. None without one."""
@@ -154,6 +160,7 @@ class CalibrationResult:
         data["residuals"] = {"overall": data["residuals"], "per_sweep": data.pop("residuals_per_sweep")}
         interval_mm = _interval(data["major_radius_mm"], data["sigma"]["major_radius_mm"])
         data[name_in_file(INTERVAL)] = to_json_value(interval_mm)
+        data[HELD] = list(self.fixed)
         data[name_in_file(WITHIN)] = to_json_value(self.offset_within_95_m, WITHIN)
         return data
 
@@ -180,7 +187,8 @@ class CalibrationResult:
             if not isinstance(residuals, dict) or residuals.keys() != {"overall", "per_sweep"}:
                 raise InputError("'residuals' must be an object with 'overall' and 'per_sweep'")
             data |= {"residuals": residuals["overall"], "residuals_per_sweep": residuals["per_sweep"]}
-            data.pop(name_in_file(WITHIN), None)
+            for name in (name_in_file(WITHIN), HELD):
+                data.pop(name, None)
             key = name_in_file(INTERVAL)
             if key not in data:
                 raise InputError(f"the result: '{key}' is missing")

@@ -5,6 +5,10 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from carm_kin.results.shown import angle_determined, direction_determined, length_determined
+
 Cell = str | int | float | None
 
 TEXT, WHOLE, NUMBER = "string", "int64", "double"
@@ -34,10 +38,23 @@ COLUMNS: dict[str, tuple[str, str]] = {
 
 
 def cells(result: Mapping[str, Any] | None) -> dict[str, Cell]:
-    """The columns of a result's file content; all None where there is none."""
+    """The columns of a result's file content; all None where there is none, and numbers that are not determined."""
     found: dict[str, Cell] = {name: _at(result, place) for name, (_, place) in COLUMNS.items()}
+    for name in [name for name in found if _beyond_meaning(found, name)]:
+        found[name] = found[f"sigma_{name}"] = None
+    axis = _at(result, "sigma.orbital_axis_sensor")
+    if axis is not None and not direction_determined(np.array(axis)):
+        found |= dict.fromkeys((f"orbital_axis_{k}" for k in "xyz"), None)
     warnings = result["warnings"] if result else []
     return found | {"warnings": ";".join(dict.fromkeys(warning["code"] for warning in warnings))}
+
+
+def _beyond_meaning(found: Mapping[str, Cell], name: str) -> bool:
+    """Whether the column has a sigma, and it says that the number is not determined."""
+    sigma = found.get(f"sigma_{name}")
+    if not isinstance(sigma, float):
+        return False
+    return not (length_determined(sigma / 1e3) if name.endswith("_mm") else angle_determined(float(np.radians(sigma))))
 
 
 def csv_text(rows: Sequence[Mapping[str, Cell]]) -> str:

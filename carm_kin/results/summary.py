@@ -10,7 +10,8 @@ from carm_kin.recording.intake import Intake
 from carm_kin.results.chain_result import ChainCalibration
 from carm_kin.results.held_out import HeldOut
 from carm_kin.results.parts import SigmaPart, ToldOffset
-from solvers.estimate import Note
+from carm_kin.results.shown import FIXED, NOT_DETERMINED, determined, direction_determined, length_determined
+from solvers.estimate import MEANINGLESS_M, MEANINGLESS_RAD, Note
 from solvers.se3 import Array
 
 if TYPE_CHECKING:
@@ -21,10 +22,10 @@ if TYPE_CHECKING:
     from carm_kin.results.virtual_centre_result import VirtualCentre
 
 _NAME_WIDTH = 34
-NOT_TOLD, NOT_DETERMINED, FIXED = "not told", "not determined", "deg (fixed)"
+NOT_TOLD = "not told"
 MOST_PARTS, LEAST_PART = 4, 0.1
 """Of the uncertainty that are named, and the least share of the greatest one."""
-MOST_SIGMA = {"mm": 20.0, "deg": 10.0}
+MOST_SIGMA = {"mm": MEANINGLESS_M * 1e3, "deg": float(np.degrees(MEANINGLESS_RAD))}
 """A number that is uncertain by more is not determined."""
 
 
@@ -94,7 +95,7 @@ def text_of(lines: Sequence[Line], warnings: Iterable[Note], refusal: Note | Non
 
 def in_mm(value: Array, sigma: Array | None) -> str:
     """A vector (3,), m, on one line: ``(x, y, z) ± (x, y, z) mm``."""
-    if sigma is not None and not (sigma * 1e3 <= MOST_SIGMA["mm"]).all():
+    if not length_determined(sigma):
         return NOT_DETERMINED
     words = [f"({', '.join(f'{x * 1e3:.3f}' for x in vector)})" for vector in (value, sigma) if vector is not None]
     return f"{' ± '.join(words)} mm"
@@ -209,17 +210,15 @@ def _numbers(result: "CalibrationResult") -> list[Row]:
     sigma = result.sigma
     rows = _told(result.told) if result.told else []
     rows += _vector("offset sensor to rotation centre", result.offset_sensor_pivot_m, sigma.offset_sensor_pivot_m)
-    rows += _length("offset off by at most (95%)", result.offset_within_95_m, None)
-    rows += _parts(result.sigma_parts)
+    if length_determined(sigma.offset_sensor_pivot_m):
+        rows += _length("offset off by at most (95%)", result.offset_within_95_m, None)
+        rows += _parts(result.sigma_parts)
     rows += _major_radius(result)
-    rows += _length("minor radius", result.minor_radius_m, sigma.minor_radius_m)
+    rows += _length("minor radius", result.minor_radius_m, _sigma_of(result, "minor_radius", sigma.minor_radius_m))
     skew = result.axis_non_orthogonality_rad
     if skew is not None:
-        skew_sigma = _degrees(sigma.axis_non_orthogonality_rad)
-        fixed = skew_sigma == 0.0
-        rows.append(
-            _row("non-orthogonality", np.degrees(skew), None if fixed else skew_sigma, FIXED if fixed else "deg")
-        )
+        skew_sigma = _sigma_of(result, "axis_non_orthogonality", sigma.axis_non_orthogonality_rad)
+        rows.append(_row("non-orthogonality", np.degrees(skew), _degrees(skew_sigma), "deg"))
     rows += _direction("orbital axis in the sensor", result.orbital_axis_sensor, sigma.orbital_axis_sensor)
     for k, placement in enumerate(result.placements):
         one = sigma.placements[k] if sigma.placements else None
@@ -238,6 +237,11 @@ def _parts(parts: tuple[SigmaPart, ...]) -> list[Row]:
     if len(counting) < 2:
         return []
     return [Row("its ± is made of", ", ".join(f"{cause} {lengths[cause]:.3f}" for cause in counting), unit="mm")]
+
+
+def _sigma_of(result: "CalibrationResult", quantity: str, sigma: float | None) -> float | None:
+    """0 of a quantity that was fixed."""
+    return 0.0 if quantity in result.fixed else sigma
 
 
 def _told(told: ToldOffset) -> list[Row]:
@@ -263,12 +267,17 @@ def _major_radius(result: "CalibrationResult") -> list[Row]:
     """With an upper limit instead of a sigma where the interval is one-sided."""
     interval = result.major_radius_interval_95_m
     if interval is None or interval[0] > 0:
-        return _length("major radius", result.major_radius_m, result.sigma.major_radius_m)
+        sigma = _sigma_of(result, "major_radius", result.sigma.major_radius_m)
+        return _length("major radius", result.major_radius_m, sigma)
+    if not length_determined(result.sigma.major_radius_m):
+        return [Row("major radius", NOT_DETERMINED)]
     return _length("major radius", result.major_radius_m, None, f", at most {interval[1] * 1e3:.3f} mm (95%)")
 
 
 def _quality(result: "CalibrationResult") -> list[Row]:
     residuals, noise = result.residuals, result.noise
+    if not noise.translation_m:
+        return []  # there was no estimate
     rms = _both(residuals.translation_rms_m, residuals.rotation_rms_rad)
     level = _both(noise.translation_m, noise.rotation_rad)
     kind = "estimated" if noise.estimated else "given"
@@ -311,8 +320,11 @@ def _both(length: float | None, angle: float | None) -> str:
 
 
 def _row(name: str, value: float, sigma: float | None, unit: str) -> Row:
-    if sigma is not None and not sigma <= MOST_SIGMA.get(unit[:3].strip(" ,"), np.inf):
+    """A number with its ``sigma``: None where there is none, 0 where it is fixed."""
+    if not determined(sigma, MOST_SIGMA.get(unit[:3].strip(" ,"), np.inf)):
         return Row(name, NOT_DETERMINED)
+    if sigma == 0.0:
+        return Row(name, f"{value:>10.3f}", unit=f"{unit} ({FIXED})")
     return Row(name, f"{value:>10.3f}", "" if sigma is None else f"{sigma:.3f}", unit)
 
 
@@ -335,7 +347,7 @@ def _direction(name: str, value: Array | None, sigma: Array | None) -> list[Row]
     if value is None:
         return []
     text = f"({value[0]:+.5f}, {value[1]:+.5f}, {value[2]:+.5f})"
-    if sigma is not None and np.degrees(np.linalg.norm(sigma)) > MOST_SIGMA["deg"]:
+    if not direction_determined(sigma):
         return [Row(name, NOT_DETERMINED)]
     return [Row(name, text) if sigma is None else Row(name, text, f"{np.degrees(np.linalg.norm(sigma)):.4f}", "deg")]
 

@@ -9,6 +9,7 @@ import numpy as np
 from carm_kin.calibration.calibrate import MIN_PLACEMENT, calibrate
 from carm_kin.recording.recording import Recording
 from carm_kin.results.result import CalibrationResult
+from carm_kin.results.shown import NOT_DETERMINED, length_determined
 from carm_kin.streams.live import Pose
 from solvers.se3 import Array
 
@@ -47,6 +48,8 @@ def current(poses: Sequence[Pose], of: int) -> Current:
         return Current(len(kept), result.refusal.message if result.refusal else "no covariance")
     fewer = np.sqrt(len(kept) / max(of, len(kept)))
     worst = float(np.sqrt(np.linalg.eigvalsh(result.covariance.block("offset"))[-1]))
+    if not length_determined(worst):
+        return Current(len(kept), f"the offset is {NOT_DETERMINED}")
     sigma = result.sigma.offset_sensor_pivot_m
     return Current(
         len(kept),

@@ -23,6 +23,7 @@ from carm_kin.results.parts import Provenance
 from carm_kin.results.provenance import provenance_of
 from carm_kin.results.result import CalibrationResult, ResultLike, as_result
 from carm_kin.results.result_json import json_text, object_of
+from carm_kin.results.shown import only_determined
 from carm_kin.study import compare_view
 from carm_kin.study.compare_view import REFERENCE, TRUTH
 from solvers.estimate import Note
@@ -126,7 +127,9 @@ def compare(
 
 
 def _between(run: Run, other: CalibrationResult | None, name: str) -> list[Difference]:
-    return [] if run.result is None or other is None else differences(run.result, other, run.solver, name)
+    if run.result is None or other is None:
+        return []
+    return differences(only_determined(run.result), only_determined(other), run.solver, name)
 
 
 def _run(recording: Recording, settings: Settings, counted: np.ndarray, folds: int | None) -> Run:

@@ -14,6 +14,7 @@ from carm_kin.errors import printable
 from carm_kin.results.differences import MAJOR_RADIUS, MINOR_RADIUS, OFFSET, ORBITAL_AXIS, Difference
 from carm_kin.results.result import CalibrationResult
 from carm_kin.results.rows import Cell, cells
+from carm_kin.results.shown import FIXED, only_determined
 
 if TYPE_CHECKING:
     from carm_kin.study.compare import Comparison, Run
@@ -57,7 +58,7 @@ def apart_from(comparison: "Comparison", other: str) -> dict[str, dict[str, Apar
 def tables(comparison: "Comparison") -> list[Table]:
     """Numbers, axes, quality, and the differences to the reference and to the truth."""
     reference = reference_of(comparison)
-    results = {run.solver: run.result for run in comparison.runs if run.result}
+    results = {run.solver: only_determined(run.result) for run in comparison.runs if run.result}
     found = [_numbers(results), _axes(results), _quality(comparison.runs)]
     found.append(_differences(f"Difference to {reference}", f"sigmas, own and {reference}'s", comparison, reference))
     found.append(_differences("Error", "in own sigmas", comparison, TRUTH))
@@ -106,7 +107,10 @@ def _numbers(results: dict[str, CalibrationResult]) -> Table:
     for name, result in results.items():
         offset = [None] * 3 if result.offset_sensor_pivot_m is None else result.offset_sensor_pivot_m
         lengths = (*offset, result.major_radius_m, result.minor_radius_m)
-        table.add_row(name, *map(_mm, lengths), _deg(result.axis_non_orthogonality_rad))
+        *xyz, major, minor = map(_mm, lengths)
+        held = dict.fromkeys(result.fixed, f" ({FIXED})")
+        skew = _deg(result.axis_non_orthogonality_rad) + held.get("axis_non_orthogonality", "")
+        table.add_row(name, *xyz, major + held.get("major_radius", ""), minor + held.get("minor_radius", ""), skew)
     return table
 
 

@@ -38,10 +38,13 @@ class Free:
     """(J,) mask of the joints whose zero is."""
     gains: np.ndarray
     """(J,) mask of the joints whose scale is."""
+    resting: np.ndarray | None = None
+    """(J,) mask of the joints whose little motion tells nothing of the others' numbers either; None: none."""
 
     def only(self, joints: np.ndarray) -> "Free":
-        """The same of some of the ``joints`` (J,) alone."""
-        return Free(self.placements & joints, self.offsets & joints, self.gains & joints)
+        """The same of some of the ``joints`` (J,) alone, while the others are at rest."""
+        resting = ~joints if self.resting is None else self.resting | ~joints
+        return Free(self.placements & joints, self.offsets & joints, self.gains & joints, resting)
 
 
 @dataclass(frozen=True)
@@ -146,7 +149,12 @@ def solve_chain(
 def _choice(
     problem: ChainProblem, machine: Machine, values: Array, layout: Layout, sigma: Array, used: np.ndarray, free: Free
 ) -> Identifiable:
-    """What of the unknowns is estimated: bases and mounts first, then constants, then what is free of the joints."""
+    """What of the unknowns is estimated: bases and mounts first, then constants, then what is free of the joints.
+
+    Joints at rest stand at their median there, so that their wobble tells nothing.
+    """
+    if free.resting is not None:
+        values = np.where(free.resting, np.median(values, axis=0), values)
     joints = [layout.placement(j) for j in np.flatnonzero(free.placements)]
     joints += [np.array([layout.offset(j)]) for j in np.flatnonzero(free.offsets)]
     joints += [np.array([layout.gain(j)]) for j in np.flatnonzero(free.gains)]

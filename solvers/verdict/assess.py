@@ -27,6 +27,7 @@ from solvers.verdict.diagnose import LABELS, base_moved_at, causes_of
 from solvers.verdict.held_out import LeftOut, left_out
 from solvers.verdict.limits import Limits, misfit, uncertain
 from solvers.verdict.observability import AMBIGUOUS, balanced, in_words, joints_at_rest, thickness, turns_about_one_axis
+from solvers.verdict.one_axis import one_circle
 from solvers.verdict.rejected import doubtful
 from solvers.verdict.residuals import neighbour_correlation, residual_notes
 from solvers.verdict.several_moves import several_moves_of
@@ -189,7 +190,9 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
     if len(part) < limits.min_poses:
         refusal = Note("too_few_poses", f"{len(part)} usable poses; at least {limits.min_poses} are needed")
     elif estimate.major_radius is None and estimate.unobservable:
-        refusal = Note("unobservable", "; ".join(estimate.unobservable))
+        refusal = Note("unobservable", "; ".join(one_circle(part.p_world_sensor) or estimate.unobservable))
+    elif estimate.offset is None and (untold := one_circle(part.p_world_sensor)):
+        refusal = Note("unobservable", "; ".join(untold))
     elif sigma > limits.max_sigma_t_m:
         refusal = misfit(sigma, 0.0)
     elif still := _arcs_of_positions(part, estimate, used, sigma, limits):

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from solvers import told
 from solvers.estimate import Covariance, Note
 from solvers.told import FLOOR_RAD, MIN_ARC_RAD, NOISE_MULTIPLE
 
@@ -55,15 +56,19 @@ def least_arc(sigma_r: float, limits: Limits) -> float:
     A noise beyond `Limits.max_sigma_r_rad` is a misfit, and tells nothing of the arcs.
     """
     noise = min(max(sigma_r, limits.least_sigma_r_rad), limits.max_sigma_r_rad)
-    return max(limits.min_arc_rad, limits.min_arc_sigmas * noise)
+    return told.least_arc(noise, limits.min_arc_rad, limits.min_arc_sigmas)
 
 
 def uncertain(covariance: Covariance, limits: Limits) -> Note | None:
     worst = float(np.sqrt(max(np.linalg.eigvalsh(covariance.block("offset"))[-1], 0.0)))
     if worst <= limits.max_offset_sigma_m:
         return None
-    so_far = f"uncertain by {worst * 1e3:.0f} mm (one sigma)" if worst < A_MACHINE_M else "not determined"
-    return Note("too_uncertain", f"the arcs are too short for the noise: the offset is {so_far}")
+    return Note("too_uncertain", f"the arcs are too short for the noise: the offset is {uncertainty(worst)}")
+
+
+def uncertainty(sigma_m: float) -> str:
+    """How uncertain something is that is not given, in words."""
+    return f"uncertain by {sigma_m * 1e3:.0f} mm (one sigma)" if sigma_m < A_MACHINE_M else "not determined"
 
 
 def misfit(sigma_t: float, sigma_r: float) -> Note:

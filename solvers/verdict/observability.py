@@ -4,16 +4,15 @@ import numpy as np
 
 from solvers.likelihood.covariance import reported_jacobian
 from solvers.problem import Problem
-from solvers.se3 import Array, orthonormal_complement
+from solvers.se3 import Array
 from solvers.torus import Torus
 from solvers.verdict.limits import Limits, least_arc
+from solvers.verdict.one_axis import one_axis_in_words, swept
 
 AMBIGUOUS = (
     "two machines explain the poses equally well, for instance with the angular and the orbital axis exchanged; "
     "say which joint moves in each sweep, or record one more sweep"
 )
-STRAYS, MANY = 3, 100
-"""So many poses at each end of an arc may be wrong, where there is one for every so many."""
 MOST_APART = 100.0
 """Ratio of the noises, in lengths at the sensor's lever, beyond which the lesser counts as greater than it is."""
 LEAST_LEVER_M = 0.05
@@ -37,21 +36,6 @@ def thickness(problem: Problem) -> float:
     return min(float(np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[1][-1]) / np.sqrt(len(x)) for x in parts)
 
 
-def swept(angle: Array) -> float:
-    """The arc, rad, that an angle (N,) spans: the circle less its largest gap.
-
-    Of many poses `STRAYS` at each end of it do not count, which may be wrong.
-    """
-    angle = np.sort(np.mod(angle, 2 * np.pi))
-    if not len(angle):
-        return 0.0
-    gaps = np.diff(angle, append=angle[0] + 2 * np.pi)
-    start = int(np.argmax(gaps)) + 1
-    along = np.mod(np.roll(angle, -start) - angle[start % len(angle)], 2 * np.pi)
-    strays = min(STRAYS, len(along) // MANY)
-    return float(along[-1 - strays] - along[strays])
-
-
 def joints_at_rest(problem: Problem, angles: Array, sigma_r: float, limits: Limits) -> tuple[str, ...]:
     """Sentences for the joints that are not swept by `least_arc`, of ``angles`` (2, N), and what is told of the other.
 
@@ -72,40 +56,13 @@ def joints_at_rest(problem: Problem, angles: Array, sigma_r: float, limits: Limi
     here = members[int(np.argmin(arcs))] if name == "angular" else np.ones(len(problem), dtype=bool)
     where = "" if len(members) == 1 or name == "orbital" else f" at placement {int(np.argmin(arcs)) + 1}"
     unknown = "the offset along the other axis" if not where else "where the base stood there"
+    named = (problem.held >= 0).any() or np.isfinite(problem.label).any()
+    name = name if named else "second"
     return (
         f"no {name} motion{where} (it spans {np.degrees(arc):.2g} deg, at least {np.degrees(least):.2g} are needed): "
         f"the {name} axis and {unknown} are unknown",
         *(() if where else one_axis_in_words(problem.select(here))),
     )
-
-
-def one_axis_in_words(problem: Problem) -> tuple[str, ...]:
-    """What the motion about one axis tells: its direction in the sensor and the world, and the orbit's radius.
-
-    The axis u of the world is fixed in the sensor as v where ``R_i v = u``: the first singular vectors of the mean
-    orientation. The sensor circles it, so that the positions across u lie on a circle.
-    """
-    if problem.placements > 1 or problem.R_world_sensor is None:
-        return ()
-    left, _, right = np.linalg.svd(problem.rotations.mean(axis=0))
-    u, v = left[:, 0], right[0]
-    e = orthonormal_complement(u)
-    turned = problem.rotations @ orthonormal_complement(v)[:, 0] @ e
-    wobble = np.arctan2(np.linalg.norm(np.cross(problem.rotations @ v, u), axis=1), problem.rotations @ v @ u)
-    across = problem.p_world_sensor @ e
-    across = across - across.mean(axis=0)
-    A = np.column_stack([2 * across, np.ones(len(across))])
-    x = np.linalg.lstsq(A, (across**2).sum(axis=1), rcond=None)[0]
-    arc, radius = swept(np.arctan2(turned[:, 1], turned[:, 0])), np.sqrt(max(float(x[2] + x[:2] @ x[:2]), 0.0))
-    return (
-        f"one axis turned, by {np.degrees(arc):.3g} deg: it stands along {_vector(v)} in the sensor and along "
-        f"{_vector(u)} in the world, the sensor circles it at {radius * 1e3:.4g} mm, and it wobbles by "
-        f"{np.degrees(np.sqrt((wobble**2).mean())):.2g} deg (rms)",
-    )
-
-
-def _vector(direction: Array) -> str:
-    return "(" + ", ".join(f"{x:+.3f}" for x in direction) + ")"
 
 
 def balanced(sigma: tuple[float, float], torus: Torus) -> tuple[float, float]:

@@ -6,7 +6,7 @@ from solvers import pivot
 from solvers.estimate import Estimate, Note
 from solvers.problem import Problem
 from solvers.told import MIN_ARC_RAD, least_arc, turn_noise, turned
-from solvers.verdict.limits import Limits, uncertain
+from solvers.verdict.limits import Limits, uncertain, uncertainty
 from solvers.verdict.misread import misreadings
 from solvers.verdict.residuals import correlated, correlation
 
@@ -43,8 +43,7 @@ def refusal_of(part: Problem, estimate: Estimate, limits: Limits) -> Note | None
     if estimate.covariance is not None:
         return uncertain(estimate.covariance, limits)
     if told.sigma.max() > limits.max_offset_sigma_m:
-        worst = told.sigma.max() * 1e3
-        return Note("too_uncertain", f"what is told of the offset is uncertain by {worst:.0f} mm (one sigma)")
+        return Note("too_uncertain", f"what is told of the offset is {uncertainty(float(told.sigma.max()))}")
     return None
 
 

@@ -33,7 +33,7 @@ DESIGN_KEYS = {
     "major_radius_signed_mm", "major_radius_interval_95_mm", "offset_within_95_mm", "minor_radius_mm",
     "axis_non_orthogonality_deg", "orbital_axis_sensor", "placements", "T_sensor_carm", "orbital_referenced",
     "sigma", "covariance", "noise", "residuals", "poses", "used", "outliers", "observability", "warnings",
-    "refusal", "provenance", "cross_validation", "chain", "told", "sigma_parts", "effects",
+    "refusal", "provenance", "cross_validation", "chain", "told", "fixed", "sigma_parts", "effects",
     "deformation", "tracker_scale",
 }  # fmt: skip
 

@@ -10,7 +10,8 @@ from carm_kin.calibration.assembly import conventions, noise_level, sigma_of
 from carm_kin.calibration.chain import checks, numbers
 from carm_kin.calibration.chain.model import ChainModel
 from carm_kin.calibration.chain.problem import Gathered
-from carm_kin.recording.checks import REPEATED
+from carm_kin.calibration.chain.told import left_at_rest
+from carm_kin.recording.duplicates import NotMeasured
 from carm_kin.recording.recording import Recording
 from carm_kin.results.chain_result import BasePlacement, ChainCalibration, Origin, PoseError
 from carm_kin.results.parts import (
@@ -41,13 +42,14 @@ class Recorded:
     """Recordings taken together, and which of their poses count."""
 
     recordings: tuple[Recording, ...]
-    repeated: tuple[np.ndarray, ...]
-    """(N,) of each recording: poses that repeat the one before."""
+    not_measured: tuple[NotMeasured, ...]
+    """Of each recording: poses that are no measurements."""
 
     @property
     def kept(self) -> list[Recording]:
-        """The recordings without their repeated poses."""
-        return [part.select(~again) if again.any() else part for part, again in self._both]
+        """The recordings without the poses that are no measurements."""
+        parts = zip(self.recordings, self.not_measured, strict=True)
+        return [part.select(~out.any_of) if out.any_of.any() else part for part, out in parts]
 
     @property
     def numbers(self) -> Array:
@@ -59,23 +61,22 @@ class Recorded:
         return np.concatenate(found)
 
     @property
-    def again(self) -> np.ndarray:
-        """Mask of the repeated poses among all."""
-        return np.concatenate(self.repeated)
+    def left_out(self) -> np.ndarray:
+        """Mask of the poses among all that are no measurements."""
+        return np.concatenate([out.any_of for out in self.not_measured])
 
     @property
     def warnings(self) -> tuple[Note, ...]:
         """Of the recordings, each once."""
-        return tuple(dict.fromkeys(w for part in self.recordings for w in part.warnings if w.code != HANDLED))
-
-    @property
-    def _both(self) -> list[tuple[Recording, np.ndarray]]:
-        return list(zip(self.recordings, self.repeated, strict=True))
+        own = [w for part in self.recordings for w in part.warnings if w.code != HANDLED]
+        return tuple(dict.fromkeys([*own, *(note for out in self.not_measured for note in out.notes())]))
 
     def outliers(self, used: np.ndarray) -> Outliers:
-        """The repeated poses, and those of the others that are not ``used``."""
+        """The poses that are no measurements, and those of the others that are not ``used``."""
         number, reasons = self.numbers, []
-        sorts = {"does not agree with the other poses": number[~self.again][~used], REPEATED: number[self.again]}
+        sorts = {"does not agree with the other poses": number[~self.left_out][~used]}
+        for reason in self.not_measured[0].reasons:
+            sorts[reason] = number[np.concatenate([out.reasons[reason] for out in self.not_measured])]
         for reason, poses in sorts.items():
             if poses.size:
                 reasons.append(Rejection(reason, len(poses), tuple(int(i) for i in poses)))
@@ -99,7 +100,7 @@ class Blank:
 
     def bare(self, notes: tuple[Note, ...]) -> CalibrationResult:
         """What is there before any number."""
-        poses, kept = len(self.recorded.again), int((~self.recorded.again).sum())
+        poses, kept = len(self.recorded.left_out), int((~self.recorded.left_out).sum())
         return CalibrationResult(
             status="refused",
             solver=SOLVER,
@@ -155,7 +156,7 @@ def result_of_chain(
     refusal = checks.refusal(model, problem, estimate, covariance, left, limits)
     used = int(estimate.used.sum())
     error = _error(estimate.residual, estimate.used)
-    still = checks.at_rest(problem, estimate.values, limits) & (free.placements | free.offsets | free.gains)
+    still = left_at_rest(estimate, free)
     names = tuple(name for name, rests in zip(model.names, still, strict=True) if rests)
     open_ = numbers.not_identifiable(model, estimate, labels, names)
     done = replace(
@@ -197,17 +198,18 @@ def result_of_chain(
         warnings=(*done.warnings, *conventions(all(referenced), orbital_referenced)),
         sigma=sigma_of(covariance, len(labels)),
         covariance=covariance,
-        angles_rad=_angles(model, problem, estimate, blank.recorded.again),
+        angles_rad=_angles(model, problem, estimate, blank.recorded.left_out),
         chain=_chain(model, gathered, nominal, estimate, open_),
     )
 
 
-def _angles(model: ChainModel, problem: ChainProblem, estimate: ChainEstimate, again: np.ndarray) -> Array:
-    """(N, 2) alpha and beta of every pose of the recordings, NaN of repeated ones; offsets are in the placements."""
+def _angles(model: ChainModel, problem: ChainProblem, estimate: ChainEstimate, left_out: np.ndarray) -> Array:
+    """(N, 2) alpha and beta of every pose of the recordings, NaN of those ``left_out``; offsets are in the
+    placements."""
     pairs = np.array([model.axes(s) for s in range(len(model.chains))])[problem.sensor]
-    found = np.full((len(again), 2), np.nan)
+    found = np.full((len(left_out), 2), np.nan)
     turned = estimate.values * (1 + estimate.machine.gains)
-    found[~again] = np.take_along_axis(turned, pairs, axis=1)
+    found[~left_out] = np.take_along_axis(turned, pairs, axis=1)
     return found
 
 

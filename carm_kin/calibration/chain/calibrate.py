@@ -9,14 +9,15 @@ import numpy as np
 
 from carm_kin.calibration.calibrate import check_noise, wrong_unit
 from carm_kin.calibration.chain.assembly import SOLVER, Blank, Recorded, result_of_chain
-from carm_kin.calibration.chain.checks import at_rest
+from carm_kin.calibration.chain.checks import units_mixed
 from carm_kin.calibration.chain.model import ChainModel, chain_model
 from carm_kin.calibration.chain.problem import gather, sensor_links_of, sensor_numbers
+from carm_kin.calibration.chain.told import at_rest, untold
 from carm_kin.calibration.options import options_of
 from carm_kin.errors import InputError, wrong_type
 from carm_kin.machine.chain import chain_of
 from carm_kin.machine.urdf import UrdfFile, as_urdf, listing
-from carm_kin.recording.checks import repeated
+from carm_kin.recording.duplicates import NotMeasured
 from carm_kin.recording.formats import RecordingLike, as_recordings
 from carm_kin.recording.recording import Recording
 from carm_kin.results.result import CalibrationResult
@@ -98,14 +99,15 @@ def calibrate_chain(
     chosen, unknown = options_of(Options, SOLVER, options), free_of(model, free)
     sigma = (sigma_t_m, sigma_r_rad, sigma_reading_rad, sigma_reading_m)
     _check_noise(sigma)
-    recorded = Recorded(parts, tuple(_repeated(part, model) for part in parts))
+    recorded = Recorded(parts, tuple(_not_measured(part, model) for part in parts))
     gathered = gather(recorded.kept, model, sigma)
     blank = Blank(recorded, asdict(chosen) | free.in_words(), command)
     if len(gathered.problem) < limits.min_poses:
         words = f"{len(gathered.problem)} poses; at least {limits.min_poses} are needed"
         return blank.refused(Note("too_few_poses", words), gathered.notes)
     T = gathered.problem.T_world_sensor
-    estimate = wrong_unit(T[:, :3, 3], T[:, :3, :3]) or fit(gathered.problem, model, unknown, chosen, limits)
+    wrong = wrong_unit(T[:, :3, 3], T[:, :3, :3]) or units_mixed(gathered.problem)
+    estimate = wrong or fit(gathered.problem, model, unknown, chosen, limits)
     if isinstance(estimate, Note):
         return blank.refused(estimate, gathered.notes)
     nominal = nominal_fit(gathered.problem, model, estimate)
@@ -127,21 +129,26 @@ def _model(
     return chain_model(file, tuple(dict.fromkeys(known)), angular, orbital)
 
 
-def _repeated(recording: Recording, model: ChainModel) -> np.ndarray:
-    """(N,) mask of the poses that repeat the one before them of the same sensor."""
-    again, sensor = np.zeros(len(recording), dtype=bool), sensor_numbers(recording, model.sensor_links)
-    R = recording.R_world_sensor
+def _not_measured(recording: Recording, model: ChainModel) -> NotMeasured:
+    """The poses of each sensor that are no measurements of their own."""
+    sensor, R = sensor_numbers(recording, model.sensor_links), recording.R_world_sensor
+    masks = {reason: np.zeros(len(recording), dtype=bool) for reason in NotMeasured.REASONS}
     for s in np.unique(sensor):
         here = sensor == s
-        again[here] = repeated(recording.p_world_sensor[here], None if R is None else R[here])
-    return again
+        found = NotMeasured.of(recording.p_world_sensor[here], None if R is None else R[here])
+        for reason, mask in found.reasons.items():
+            masks[reason][here] = mask
+    return NotMeasured(masks)
 
 
 @step("solve by chain")
 def fit(
     problem: ChainProblem, model: ChainModel, free: Free, options: Options, limits: Limits = Limits()
 ) -> ChainEstimate | Note:
-    """The calibrated machine, or why there is none. Joints that hardly move in all poses keep their numbers."""
+    """The calibrated machine, or why there is none. Joints that hardly move in all poses keep their numbers: by the
+    values that the fit starts with, and by those that it ends with."""
+    if note := untold(problem):
+        return note
     start = start_of(problem, model.machine, [model.axes(s) for s in range(len(model.chains))])
     if isinstance(start, Note):
         return start
@@ -149,7 +156,12 @@ def fit(
         placed = solve_chain(problem, start.machine, start.values, free_of(model, NOTHING), options, start.agrees)
         begin = placed.machine if placed.converged else start.machine
         values = np.where(problem.read, problem.label, start.values)
-        return solve_chain(problem, begin, values, free.only(~at_rest(problem, values, limits)), options, start.agrees)
+        moving = free.only(~at_rest(problem, values, limits))
+        found = solve_chain(problem, begin, values, moving, options, start.agrees)
+        still = at_rest(problem, found.values, limits)
+        if not (still & (moving.placements | moving.offsets | moving.gains)).any():
+            return found
+        return solve_chain(problem, begin, values, moving.only(~still), options, start.agrees)
     except np.linalg.LinAlgError:
         return Note("unobservable", "the poses determine no machine: the equations are singular")
 

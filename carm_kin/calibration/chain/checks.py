@@ -1,18 +1,21 @@
 """Whether a chain's estimate can be trusted: why it is refused, and what there is to say of it."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from carm_kin.calibration.chain.model import ChainModel
 from carm_kin.calibration.chain.numbers import DIRECTIONS, joint_changes
+from carm_kin.calibration.chain.told import at_rest
 from carm_kin.machine.urdf import listing
 from carm_kin.results.chain_result import JointChange
 from solvers.chain.chain import ChainEstimate
-from solvers.chain.problem import ORIENTATIONS, ChainProblem
+from solvers.chain.problem import ChainProblem
 from solvers.estimate import Covariance, Note
-from solvers.se3 import Array
+from solvers.problem import Problem
 from solvers.verdict.left_out import LeftOut, left_out
-from solvers.verdict.limits import Limits, least_arc, uncertain
-from solvers.verdict.observability import swept
+from solvers.verdict.limits import Limits, uncertain
+from solvers.verdict.mixed_units import mixed_units
 from solvers.verdict.residuals import correlated, correlation
 
 WEAK_M, WEAK_RAD = 5e-3, float(np.radians(0.5))
@@ -32,12 +35,15 @@ LEFT_OUT_PROBABILITY = 1e-6
 """Probability of saying of sound numbers of the URDF that they should have been free."""
 
 
-def at_rest(problem: ChainProblem, values: Array, limits: Limits = Limits()) -> np.ndarray:
-    """(J,) joints that stand still, or of which the ``values`` (N, J) span less than the least arc: nothing is told of
-    their numbers, which stay nominal."""
-    least = least_arc(problem.sigma[ORIENTATIONS] or 0.0, limits)
-    little = [not slides and swept(values[:, j]) < least for j, slides in enumerate(problem.prismatic)]
-    return problem.still | np.array(little, dtype=bool)
+def units_mixed(problem: ChainProblem) -> Note | None:
+    """A refusal where the positions of one sensor in one placement come in two units."""
+    T = problem.T_world_sensor
+    for poses in (np.flatnonzero(problem.sensor == s) for s in np.unique(problem.sensor)):
+        placement = np.unique(problem.placement[poses], return_inverse=True)[1].ravel()
+        part = Problem.of_poses(T[poses, :3, 3], T[poses, :3, :3])
+        if note := mixed_units(replace(part, placement=placement)):
+            return note
+    return None
 
 
 def unfreed(

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from carm_kin.calibration.chain.checks import at_rest
 from carm_kin.calibration.chain.model import ChainModel
+from carm_kin.calibration.chain.told import left_at_rest
 from carm_kin.calibration.cross_validate import fold_of_poses, nothing_left
 from carm_kin.recording.recording import Recording
 from carm_kin.results.held_out import CrossValidation, Errors, HeldOut, overall_of, row_of
@@ -66,7 +66,7 @@ def _fit_to(
     machine = whole.machine
     start = replace(model.machine, T_world_base=machine.T_world_base, T_last_sensor=machine.T_last_sensor)
     part = problem.select(np.flatnonzero(rest))
-    moving = free.only(~at_rest(problem, whole.values))
+    moving = free.only(~left_at_rest(whole, free))
     try:
         found = solve_chain(part, start, whole.values[rest], moving, options, whole.used[rest])
     except np.linalg.LinAlgError:

@@ -15,7 +15,7 @@ from solvers import kinematic
 from solvers.estimate import Note
 from solvers.problem import Problem
 from solvers.verdict.assess import assess
-from solvers.verdict.observability import swept
+from solvers.verdict.one_axis import swept
 
 EXACT = 1e-7
 NOISES = {
