@@ -29,6 +29,8 @@ SIGNIFICANT = 31.3
 FIRST_ROUNDS, ROUNDS = 3, 30
 SETTLED = 1e-3
 """Relative change of the covariances that ends the rounds."""
+EXACT = 1e-6
+"""Noise below this, m and rad, is rounding and has no shape."""
 LEAST = 1 / 30
 """Least variance along an axis over that of the mean."""
 
@@ -42,6 +44,8 @@ def noise_shape(
     The covariances are drawn to isotropic ones by the share of their likelihood that chance explains.
     """
     poses = np.flatnonzero(used)
+    if not poses.size or min(sigma) < EXACT:
+        return None
     step = -(-len(poses) // MOST_POSES)
     poses = poses[::step]
     residuals = _Residuals.of(torus, angles[:, poses], problem.select(poses), sigma)
@@ -57,7 +61,7 @@ def noise_shape(
         if settled:
             break
     gained = 2 * (residuals.log_likelihood(S) - residuals.most_likely_isotropic()) / lasts
-    if gained < SIGNIFICANT:
+    if not gained >= SIGNIFICANT:
         return None
     by_chance = FREEDOM / gained
     shapes = []

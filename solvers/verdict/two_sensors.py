@@ -131,7 +131,7 @@ def _groups(rows: Array) -> tuple[float, np.ndarray] | None:
     evenly picked ones.
     """
     D, y = np.moveaxis(rows[:, SENSOR], -1, 0), -np.moveaxis(rows[:, -1], -1, 0)
-    step = -(-len(y) // MOST_POSES)
+    step = max(1, -(-len(y) // MOST_POSES))
     some, best = (D[::step], y[::step]), None
     n = len(some[1])
     information = np.einsum("nri,nrk->nik", some[0], some[0])

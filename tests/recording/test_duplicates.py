@@ -49,7 +49,8 @@ def test_a_file_ten_times_over_is_one_file(shuffled):
     if shuffled:
         order = np.random.default_rng(0).permutation(order)
     many = replace(SOUND.select(order), pose_number=np.arange(10 * N))
-    result, expected = carm_kin.calibrate(many), carm_kin.calibrate(SOUND)
+    # systematic effects depend on the order of the poses in time
+    result, expected = (carm_kin.calibrate(one, systematic="none") for one in (many, SOUND))
     # the order of the sums differs where the poses were shuffled, and where outliers start from random samples
     np.testing.assert_allclose(result.sigma.offset_sensor_pivot_m, expected.sigma.offset_sensor_pivot_m, rtol=1e-2)
     assert result.poses == 10 * N
