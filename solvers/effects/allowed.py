@@ -14,7 +14,7 @@ from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
 
-LEAST_GAIN = 4.0
+LEAST_GAIN = 8.0
 """In log-likelihood, from which on the effects move the estimate, and not only widen its ±."""
 FARTHEST = 5.0
 """Standard deviations of the estimate, with all effects, by which they may move it."""

@@ -11,7 +11,7 @@ all this together, else the maximum-likelihood one with the covariance that the 
     Cov = C (Σ_k d_k J_kᵀ J_k) C + B Λ Bᵀ,    C = (Jᵀ J)⁻¹,  B = C Jᵀ Z
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -35,6 +35,8 @@ DISAGREE = 4.75
 """Gain in log-likelihood of a variance between placements that chance makes once in a thousand."""
 EXACT = 1e-6
 """Noise below this, m and rad, is rounding, and so are its effects."""
+WORTH = 1.35
+"""Gain in log-likelihood of an effect that is kept: chance makes it for one variance in twenty."""
 SAME_RHO = 0.03
 """Change of a correlation that calls for no other round."""
 ROUNDS = 3
@@ -97,9 +99,22 @@ class Systematic:
 
     def gain_of(self, name: str) -> float:
         """In log-likelihood, over all effects but this one."""
+        return self.model.log_likelihood - self._without(name).log_likelihood
+
+    def _without(self, name: str) -> Mixed:
         groups = np.array([group.effect != name for group in self.setting.groups], dtype=bool)
-        without = self.model.at(self.model.variance * groups, self.model.noise)
-        return self.model.log_likelihood - without.log_likelihood
+        return self.model.at(self.model.variance * groups, self.model.noise)
+
+    def pruned(self) -> "Systematic":
+        """Only the effects that gain what chance seldom makes, the one that gains least left out first."""
+        found = self
+        while found.names:
+            least = min(found.names, key=found.gain_of)
+            if found.gain_of(least) >= WORTH:
+                break
+            every = np.ones(len(found.setting.groups) + 2, dtype=bool)
+            found = replace(found, model=most_likely(found._without(least), every))
+        return found
 
     @property
     def note(self) -> Note | None:
@@ -197,7 +212,7 @@ def systematic(
         scenes = (Scene(problem, torus, angles, sigma, blocks, length) for length in FIELD_LENGTHS[1:])
         others = [best.refined(_Setting.of(scene, effects)) for scene in scenes]
         best = max((best, *others), key=lambda found: found.model.log_likelihood)
-    return best
+    return best.pruned()
 
 
 def _from_nothing(setting: _Setting) -> Systematic:
