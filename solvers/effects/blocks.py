@@ -7,16 +7,7 @@ import numpy as np
 from solvers.likelihood.correlation import Stretches
 from solvers.likelihood.elimination import columns_of
 from solvers.likelihood.linearise import LOCAL, AngleModel, Linearisation, linearise
-from solvers.likelihood.reduced import (
-    HELD,
-    RESIDUAL,
-    blocks_of,
-    inverse_blocks,
-    row_scale,
-    shape_roots,
-    shaped,
-    weighted,
-)
+from solvers.likelihood.reduced import HELD, RESIDUAL, OwnAngles, row_scale, shape_roots, shaped, weighted
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
@@ -62,16 +53,10 @@ class Blocks:
         line = linearise(torus, angles, problem)
         B, A = weighted(line, model, sigma)
         error = model.reading_error(angles)
-        C = np.stack([np.einsum("rn,rkn->kn", A[:, j], B) for j in (0, 1)])
-        C[:, RESIDUAL] += model.precision * error
-        own = blocks_of(A[:3]), blocks_of(A[3:])
-        g, h, k = inverse_blocks(own[0] + own[1], model)
-        X = np.stack([g * C[0] + h * C[1], h * C[0] + k * C[1]])
-        absorbed = np.stack([g * a + 2 * h * b + k * d for a, b, d in own])
-        read = np.sqrt(model.precision)
-        V = -read[:, None] * X
-        V[:, RESIDUAL] += read * error
-        B = np.concatenate([B - A[:, 0, None] * X[0] - A[:, 1, None] * X[1], V])
+        angle = OwnAngles.of(B, A, model, error)
+        g, h, k = angle.inverse
+        absorbed = np.stack([g * a + 2 * h * b + k * d for a, b, d in (angle.position, angle.rotation)])
+        B = np.concatenate([angle.left_of(B, A), angle.readings(model.precision, error)])
 
         stretches = Stretches.of(problem)
         first = _first(stretches)
@@ -88,7 +73,7 @@ class Blocks:
             order=stretches.order,
             by_unknown=by_unknown,
             residual=B[:, RESIDUAL],
-            whiten=_projected(A[..., middle], np.stack([g, h, k])[:, middle], _weights(line, model, sigma, middle))
+            whiten=_projected(A[..., middle], angle.inverse[:, middle], _weights(line, model, sigma, middle))
             * np.sqrt(count),
             rows=3 * len(first) - absorbed,
             fixed=_labels(model, angles, active),

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from solvers.likelihood.linearise import LOCAL, AngleModel, Linearisation, linearise
-from solvers.likelihood.reduced import HELD, RESIDUAL, WIDTH, Reduced, blocks_of, inverse_blocks, traces, weighted
+from solvers.likelihood.reduced import HELD, RESIDUAL, WIDTH, OwnAngles, Reduced, traces, weighted
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
@@ -79,23 +79,19 @@ class _Sums:
         """Add a block of poses."""
         B, A = weighted(line, model, sigma)
         error = model.reading_error(angles)
-        C = np.stack([np.einsum("rn,rkn->kn", A[:, j], B) for j in (0, 1)])
-        C[:, RESIDUAL] += model.precision * error
-        own = blocks_of(A[:3]), blocks_of(A[3:])
-        G_inverse = inverse_blocks(own[0] + own[1], model)
-        X = self.response[..., here]
-        X[0] = G_inverse[0] * C[0] + G_inverse[1] * C[1]
-        X[1] = G_inverse[1] * C[0] + G_inverse[2] * C[1]
+        angle = OwnAngles.of(B, A, model, error)
+        C, X, own = angle.gradient, angle.response, (angle.position, angle.rotation)
+        self.response[..., here] = X
         self.left[:, here] = left = B[:, RESIDUAL] - A[:, 0] * X[0, RESIDUAL] - A[:, 1] * X[1, RESIDUAL]
         self.distance2[here] = (left**2).sum(axis=0)
         if used is not None:
             B, C, A, error = (x * used for x in (B, C, A, error))
             own = own[0] * used, own[1] * used
-        U = B[:3] - A[:3, 0, None] * X[0] - A[:3, 1, None] * X[1]
+        U = angle.left_of(B[:3], A[:3])
         self.poses += len(part) if used is None else int(used.sum())
         self.free += int((model.free if used is None else model.free * used).sum())
 
-        V = self._readings(X, G_inverse, error, model, used)
+        V = self._readings(angle, error, model, used)
         for p, members in _members(part):
             self.moment[p] += _moment(B[..., members], B[..., members]) - _moment(C[..., members], X[..., members])
             self.position_moment[p] += _moment(U[..., members], U[..., members])
@@ -113,23 +109,18 @@ class _Sums:
 
         square = (B[:, RESIDUAL].reshape(len(sigma), -1) ** 2).sum(axis=1) * np.square(sigma)
         self.squares[: len(sigma)] += square
-        absorbed, exchanged = traces(G_inverse, *own)
+        absorbed, exchanged = traces(angle.inverse, *own)
         self.absorbed_position += absorbed
         self.exchanged += exchanged
 
-    def _readings(
-        self, X: Array, G_inverse: Array, error: Array, model: AngleModel, used: np.ndarray | None
-    ) -> Array | None:
+    def _readings(self, angle: OwnAngles, error: Array, model: AngleModel, used: np.ndarray | None) -> Array | None:
         """The readings' rows after their poses' own angles are fitted (2, 16, n); None where there are none."""
         if not model.precision.any():
             return None
         known = model.precision if used is None else model.precision * used
         self.reading_cost += float((known * error**2).sum())
-        self.absorbed_readings += float((known * G_inverse[[0, 2]]).sum())
-        read = np.sqrt(known)
-        V = -read[:, None] * X
-        V[:, RESIDUAL] += read * error
-        return V
+        self.absorbed_readings += float((known * angle.inverse[[0, 2]]).sum())
+        return angle.readings(known, error)
 
     def reduced(self, model: AngleModel, problem: Problem, sigma: tuple[float, ...], label_error: Array) -> Reduced:
         """Eliminate the held angles, which are off their labels by ``label_error`` (S,), and put the placements

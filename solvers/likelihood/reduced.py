@@ -168,6 +168,42 @@ def inverse_blocks(G: Array, model: AngleModel) -> Array:
     return np.stack([d, -b, a]) / (a * d - b * b)
 
 
+@dataclass(frozen=True, eq=False)
+class OwnAngles:
+    """The free angles of n poses at their best, from weighted columns B (rows, w, n) and A (rows, 2, n)."""
+
+    gradient: Array
+    """(2, w, n) AᵀB, the readings' part in the last column, that of the residual."""
+    position: Array
+    """(3, n) `blocks_of` the position rows, and"""
+    rotation: Array
+    """(3, n) of the rotation rows."""
+    inverse: Array
+    """(3, n) `inverse_blocks` of both and the readings."""
+    response: Array
+    """(2, w, n) what each angle takes of every column of B."""
+
+    @staticmethod
+    def of(B: Array, A: Array, model: AngleModel, error: Array) -> "OwnAngles":
+        """With readings of the angles that are off by ``error`` (2, n)."""
+        C = np.stack([np.einsum("rn,rkn->kn", A[:, j], B) for j in (0, 1)])
+        C[:, -1] += model.precision * error
+        position, rotation = blocks_of(A[:3]), blocks_of(A[3:])
+        g, h, k = inverse = inverse_blocks(position + rotation, model)
+        return OwnAngles(C, position, rotation, inverse, np.stack([g * C[0] + h * C[1], h * C[0] + k * C[1]]))
+
+    def left_of(self, B: Array, A: Array) -> Array:
+        """Some of the rows (r, w, n) less what the angles take of them."""
+        return B - A[:, 0, None] * self.response[0] - A[:, 1, None] * self.response[1]
+
+    def readings(self, precision: Array, error: Array) -> Array:
+        """(2, w, n) the rows of the readings, of ``precision`` (2, n), with the angles at their best."""
+        read = np.sqrt(precision)
+        V = -read[:, None] * self.response
+        V[:, -1] += read * error
+        return V
+
+
 def traces(G_inverse: Array, position: Array, rotation: Array) -> tuple[float, float]:
     """Sums over the poses of tr inv(G) P and tr inv(G) P inv(G) R, with P and R the blocks (3, N) of both kinds."""
 

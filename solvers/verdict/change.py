@@ -12,7 +12,7 @@ import numpy as np
 
 from solvers.likelihood.correlation import Stretches, correlation_of, correlation_time
 from solvers.likelihood.linearise import LOCAL, AngleModel, Linearisation
-from solvers.likelihood.reduced import RESIDUAL, blocks_of, inverse_blocks, row_scale, shape_roots, shaped, weighted
+from solvers.likelihood.reduced import RESIDUAL, OwnAngles, row_scale, shape_roots, shaped, weighted
 from solvers.problem import Problem
 from solvers.se3 import Array, rot_y
 from solvers.verdict.f_test import f_tail
@@ -82,10 +82,7 @@ def rows_of(line: Linearisation, angles: Array, problem: Problem, sigma: tuple[f
     B, A = weighted(line, model, sigma)
     waves = [_flex(angles, line, model, sigma)] if flex else []
     B = np.concatenate([B[:, :LOCAL], *waves, B[:, RESIDUAL:]], axis=1)
-    C = [(A[:, j, None] * B).sum(axis=0) for j in (0, 1)]
-    g, h, k = inverse_blocks(blocks_of(A), model)
-    B -= A[:, 0, None] * (g * C[0] + h * C[1]) + A[:, 1, None] * (h * C[0] + k * C[1])
-    return B
+    return OwnAngles.of(B, A, model, np.zeros_like(angles)).left_of(B, A)
 
 
 def most_likely(rows: Array, problem: Problem, by: Array | None = None, of: slice = BASE) -> Change | None:
