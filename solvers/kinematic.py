@@ -129,12 +129,12 @@ def _weighing_labels(
         return refine(problem, torus, options, fix_non_orthogonality, used, sigma)
     blank = unlabelled(problem)
     first = refine(blank, torus, options, fix_non_orthogonality, used, sigma)
-    if not (first.torus and first.sigma_t and first.sigma_r and first.angles is not None and first.used is not None):
+    if (parts := _parts_of(first)) is None:
         raise ValueError("the fit of a chain lacks its noise or angles")
-    sigma, angles = (first.sigma_t, first.sigma_r), first.angles.T
-    at = normal_equations(first.torus, angles, blank, AngleModel.of(blank), sigma, first.used)
+    torus, angles, sigma = parts
+    at = normal_equations(torus, angles, blank, AngleModel.of(blank), sigma, first.used)
     labels = weighed(problem, at, angles, marginal_covariance(at.H, active_unknowns(blank, fix_non_orthogonality)))
-    fit = refine(labels.problem, first.torus, options, fix_non_orthogonality, first.used, sigma)
+    fit = refine(labels.problem, torus, options, fix_non_orthogonality, first.used, sigma)
     return replace(fit, sigma_label=labels.problem.sigma_label, notes=labels.notes)
 
 

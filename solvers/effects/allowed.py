@@ -7,7 +7,7 @@ import numpy as np
 from solvers.effects.deformed import deformed
 from solvers.effects.systematic import Systematic
 from solvers.estimate import Covariance, EffectFound, Estimate, SigmaPart
-from solvers.likelihood.covariance import reported_jacobian
+from solvers.likelihood.covariance import marginal_covariance, reported_jacobian
 from solvers.likelihood.elimination import normal_equations
 from solvers.likelihood.linearise import AngleModel, retract
 from solvers.problem import Problem
@@ -18,6 +18,8 @@ LEAST_GAIN = 8.0
 """In log-likelihood, from which on the effects move the estimate, and not only widen its ±."""
 FARTHEST = 5.0
 """Standard deviations of the estimate, with all effects, by which they may move it."""
+KEPT = ("sigma_t", "sigma_r", "sigma_label", "shape", "used", "iterations", "converged", "notes")
+"""What of an estimate the effects do not change."""
 
 
 def allowing_for(estimate: Estimate, problem: Problem, found: Systematic) -> Estimate:
@@ -42,7 +44,7 @@ def _widened(estimate: Estimate, torus: Torus, stated: Covariance, found: System
     """The same estimate with Cov + B Λ Bᵀ, B = C Jᵀ Z and C = inv(Jᵀ J) of noise that does not last."""
     J, u = _reported(torus, found), found.model.unknowns
     moments = found.setting.rows.model.moments.sum(axis=0)
-    C = _inverse(moments[:u, :u] + found.model.fixed[:u, :u])
+    C = marginal_covariance(moments[:u, :u] + found.model.fixed[:u, :u], np.ones(u, dtype=bool))
     shares = found.shares(J @ C[: J.shape[1]] @ moments[:u, u:-1])
     white = J @ C[: J.shape[1], : J.shape[1]] @ J.T
     parts = {"noise": white, "correlation": stated.matrix - white, **shares}
@@ -78,10 +80,6 @@ def _moved(estimate: Estimate, torus: Torus, problem: Problem, found: Systematic
     return _with_parts(moved, found, Covariance(names, np.sum([*parts.values()], axis=0)), parts)
 
 
-KEPT = ("sigma_t", "sigma_r", "sigma_label", "shape", "used", "iterations", "converged", "notes")
-"""What of an estimate the effects do not change."""
-
-
 def _with_parts(estimate: Estimate, found: Systematic, covariance: Covariance, parts: dict[str, Array]) -> Estimate:
     return replace(
         estimate,
@@ -94,8 +92,3 @@ def _with_parts(estimate: Estimate, found: Systematic, covariance: Covariance, p
 def _reported(torus: Torus, found: Systematic) -> Array:
     """(K, a) derivative of the reported quantities by the active unknowns."""
     return reported_jacobian(torus)[0][:, found.setting.scene.blocks.active]
-
-
-def _inverse(H: Array) -> Array:
-    scale = 1 / np.sqrt(np.maximum(np.diagonal(H), np.finfo(float).tiny))
-    return np.linalg.inv(H * np.outer(scale, scale) + 1e-12 * np.eye(len(H))) * np.outer(scale, scale)

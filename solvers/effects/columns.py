@@ -105,24 +105,27 @@ class Scene:
 
 
 Effect = Callable[[Scene], Columns | None]
+TWIST = ("position",) * 3 + ("rotation",) * 3
+"""Kinds of the six components of a twist."""
 
 
 def deformation(scene: Scene) -> Columns | None:
     """The C bends as a smooth function of both angles, of mean zero over their ranges."""
-    return _six(_smooth(scene, scene.at))
+    return of_twist(_smooth(scene, scene.at))
 
 
 def gravity(scene: Scene) -> Columns | None:
     """The C bends in proportion to its weight: linear in the vertical as seen from the C and from its swivel."""
-    return _six(_statics(scene, scene.at))
+    return of_twist(_statics(scene, scene.at))
 
 
 def field(scene: Scene) -> Columns | None:
     """The tracker distorts as a smooth function of the place, in its own frame."""
-    basis, R = scene.over_places, scene.R_world_carm
-    turned = np.einsum("kb,bji->ikjb", basis, R)
-    nothing = np.zeros_like(turned)
-    return _columns(np.concatenate([turned, nothing]), np.concatenate([nothing, turned]))
+    basis = scene.over_places
+    turned = np.einsum("kb,bji->ikjb", basis, scene.R_world_carm)
+    moved = np.zeros((6, len(basis), 6, basis.shape[1]))
+    moved[:3, :, :3] = moved[3:, :, 3:] = turned
+    return Columns(moved.reshape(6, -1, basis.shape[1]), TWIST * len(basis))
 
 
 def marker(scene: Scene) -> Columns | None:
@@ -140,7 +143,7 @@ def backlash(scene: Scene) -> Columns | None:
     basis = np.empty_like(scene.angles)
     for joint, angle in enumerate(scene.angles):
         basis[joint, order] = _play(angle[order] / (0.5 * PLAY_RAD))
-    return _six(scene.blocks.mean(basis))
+    return of_twist(scene.blocks.mean(basis))
 
 
 def drift(scene: Scene) -> Columns | None:
@@ -152,8 +155,7 @@ def drift(scene: Scene) -> Columns | None:
         moved = np.zeros((6, DRIFT_ORDERS, 6, len(scene.placement)))
         moved[..., here] = -scene.line.by_local[:, None, :6, here] * waves[:, None]
         columns.append(moved.reshape(6, -1, len(scene.placement)))
-    kinds = ("position",) * 3 + ("rotation",) * 3
-    return Columns(np.concatenate(columns, axis=1), kinds * (DRIFT_ORDERS * len(columns)))
+    return Columns(np.concatenate(columns, axis=1), TWIST * (DRIFT_ORDERS * len(columns)))
 
 
 def slip(scene: Scene) -> Columns | None:
@@ -194,7 +196,7 @@ def remounting(scene: Scene) -> Columns | None:
     for placement in range(placements):
         here = scene.placement == placement
         moved[:, placement][..., here] = mount[..., here]
-    return Columns(moved.reshape(6, -1, len(scene.placement)), (("position",) * 3 + ("rotation",) * 3) * placements)
+    return Columns(moved.reshape(6, -1, len(scene.placement)), TWIST * placements)
 
 
 EFFECTS: dict[str, Effect] = {
@@ -225,20 +227,13 @@ def _products(angles: Array) -> Array:
     return np.stack([a * b for a in alpha for b in beta])[1:]
 
 
-def _six(basis: Array) -> Columns:
-    """Every component of a twist in the carm frame as a function of its own."""
+def of_twist(basis: Array) -> Columns:
+    """Every component of a twist in the carm frame as a function of its own, of the ``basis`` (K, n)."""
     K, n = basis.shape
     moved = np.zeros((6, K, 6, n))
     for axis in range(6):
         moved[axis, :, axis] = basis
-    return Columns(moved.reshape(6, -1, n), (("position",) * 3 + ("rotation",) * 3) * K)
-
-
-def _columns(position: Array, rotation: Array) -> Columns:
-    """Of displacements (6, K, 3, B) by shifts and by turns."""
-    K, n = position.shape[1], position.shape[3]
-    moved = np.concatenate([position, rotation], axis=2)
-    return Columns(moved.reshape(6, -1, n), (("position",) * 3 + ("rotation",) * 3) * K)
+    return Columns(moved.reshape(6, -1, n), TWIST * K)
 
 
 def _legendre(time: Array, orders: int) -> Array:

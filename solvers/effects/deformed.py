@@ -7,7 +7,7 @@ effects it is the mean over the ranges of the angles that belongs to the mount (
 
 import numpy as np
 
-from solvers.effects.columns import OF_DEFORMATION
+from solvers.effects.columns import OF_DEFORMATION, of_twist
 from solvers.effects.process import grid
 from solvers.effects.systematic import Systematic
 from solvers.estimate import Deformed
@@ -31,8 +31,8 @@ def deformed(found: Systematic, torus: Torus) -> Deformed | None:
     angles = grid(low - BEYOND_RAD, high + BEYOND_RAD, NODES)
     every = np.zeros((len(angles), 6, len(found.model.group)))
     for name in names:
-        basis = OF_DEFORMATION[name](scene, angles.T)
-        every[:, :, found.columns_of(name)] = np.einsum("km,ij->mikj", basis, np.eye(6)).reshape(len(angles), 6, -1)
+        moved = of_twist(OF_DEFORMATION[name](scene, angles.T)).displacement
+        every[:, :, found.columns_of(name)] = moved.transpose(2, 0, 1)
     R, p = torus.T_sensor_carm[:3, :3], inverse(torus.T_sensor_carm)[:3, 3]
     by_shift = np.concatenate([-R, -R @ skew(p)], axis=1) @ every
     by_turn = np.concatenate([np.zeros((3, 3)), -R], axis=1) @ every

@@ -63,10 +63,15 @@ class _Setting:
 
     @staticmethod
     def of(scene: Scene, effects: tuple[str, ...]) -> "_Setting":
-        every = [(name, EFFECTS[name](scene)) for name in effects]
-        columns = tuple((name, found) for name, found in every if found is not None)
+        columns = tuple(_columns(scene, effects).items())
         groups = tuple(dict.fromkeys(Group(name, kind) for name, found in columns for kind in found.kinds))
         return _Setting(scene, columns, groups, _rows(scene.blocks, columns, groups))
+
+    def of_length(self, length: float) -> "_Setting":
+        """The same with another length (m) of the functions of the place, which alone depend on it."""
+        scene, known = replace(self.scene, field_length=length), dict(self.columns)
+        columns = tuple((known | _columns(scene, tuple(name for name in OF_PLACE if name in known))).items())
+        return _Setting(scene, columns, self.groups, _rows(scene.blocks, columns, self.groups))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +117,7 @@ class Systematic:
             least = min(found.names, key=found.gain_of)
             if found.gain_of(least) >= WORTH:
                 break
-            every = np.ones(len(found.setting.groups) + 2, dtype=bool)
-            found = replace(found, model=most_likely(found._without(least), every))
+            found = replace(found, model=most_likely(found._without(least)))
         return found
 
     @property
@@ -129,12 +133,6 @@ class Systematic:
             f"{np.degrees(turn):.2g} deg (one sigma an axis), more than noise and other effects explain; the ± allows "
             "for it, and more placements would tell it better",
         )
-
-    @property
-    def of_place(self) -> bool:
-        """Whether a function of the place is among the effects."""
-        found = zip(self.setting.groups, self.model.variance, strict=True)
-        return any(group.effect in OF_PLACE and variance > 0 for group, variance in found)
 
     def parted(self, parts: list[np.ndarray]) -> "Parted":
         """Henderson's equations at the solution, and what each of the ``parts``, blocks by index, adds to them."""
@@ -208,9 +206,8 @@ def systematic(
     if len(blocks.middle) < LEAST_BLOCKS or max(sigma) < EXACT:
         effects = ()
     best = _from_nothing(_Setting.of(Scene(problem, torus, angles, sigma, blocks, FIELD_LENGTHS[0]), effects))
-    if best.of_place:
-        scenes = (Scene(problem, torus, angles, sigma, blocks, length) for length in FIELD_LENGTHS[1:])
-        others = [best.refined(_Setting.of(scene, effects)) for scene in scenes]
+    if {*OF_PLACE} & {*best.names}:
+        others = [best.refined(best.setting.of_length(length)) for length in FIELD_LENGTHS[1:]]
         best = max((best, *others), key=lambda found: found.model.log_likelihood)
     return best.pruned()
 
@@ -218,8 +215,7 @@ def systematic(
 def _from_nothing(setting: _Setting) -> Systematic:
     """The most likely variances, from no effect and noise that lasts as long as it seems to, or not at all."""
     rows = setting.rows
-    of_noise = np.arange(len(setting.groups) + 2) >= len(setting.groups)
-    nothing = most_likely(rows.model, of_noise)
+    nothing = most_likely(rows.model)
     lasting = rows.correlation(nothing)
     found = []
     for rho in [np.zeros(2), lasting] if lasting.any() else [lasting]:
@@ -233,14 +229,19 @@ def _from_nothing(setting: _Setting) -> Systematic:
 
 def _climbed(setting: _Setting, start: Mixed, rho: Array) -> Systematic:
     """The most likely variances and correlation of the noise, from given ones."""
-    every = np.ones(len(setting.groups) + 2, dtype=bool)
-    fit = most_likely(start, every)
+    fit = most_likely(start)
     for _ in range(ROUNDS):
         left = setting.rows.correlation(fit)
         if np.abs(left - rho).max() < SAME_RHO:
             break
-        fit, rho = most_likely(setting.rows.whitened(left, fit), every), left
+        fit, rho = most_likely(setting.rows.whitened(left, fit)), left
     return Systematic(setting, fit, rho)
+
+
+def _columns(scene: Scene, effects: tuple[str, ...]) -> dict[str, Columns]:
+    """Of the effects that can show in the scene, by name."""
+    every = {name: EFFECTS[name](scene) for name in effects}
+    return {name: found for name, found in every.items() if found is not None}
 
 
 def _rows(blocks: Blocks, columns: tuple[tuple[str, Columns], ...], groups: tuple[Group, ...]) -> Rows:

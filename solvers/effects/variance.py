@@ -196,16 +196,14 @@ class Mixed:
         return replace(self, variance=variance, noise=noise)
 
 
-def most_likely(model: Mixed, free: np.ndarray) -> Mixed:
-    """The model at the most likely variances, from those of ``model``; a group without effect gets 0.
+def most_likely(model: Mixed) -> Mixed:
+    """The model at the most likely variances, from those of ``model``; a group without effect gets 0, which stays.
 
-    ``free`` (G + K,) are the logarithms that change. Noise that the rows do not tell apart from the effects is not let
-    below a tenth of where it starts.
+    Noise that the rows do not tell apart from the effects is not let below a tenth of where it starts.
     """
-    least = 0.1 * model.noise
+    least, groups = 0.1 * model.noise, len(model.variance)
     for _ in range(MOST_STEPS):
-        groups = len(model.variance)
-        live = free & np.concatenate([model.variance > 0, np.ones(len(model.noise), dtype=bool)])
+        live = np.concatenate([model.variance, model.noise]) > 0
         g, A = model.gradient[live], model.average_information[np.ix_(live, live)]
         step = np.zeros(len(live))
         damped = A + DAMPING * np.diag(np.maximum(np.diagonal(A), 0.5))

@@ -93,7 +93,7 @@ class _Residuals:
         return _Residuals(np.concatenate(turned[:2]), np.concatenate(turned[2:]), model)
 
     def _fitted(self, S: Array) -> tuple[Array, Array, Array, Array]:
-        """W r and W A, the entries of inv(G), and the angles' steps (2, n) under covariances S (2, 3, 3)."""
+        """W r, the entries of G and of its inverse, and the angles' steps (2, n) under covariances S (2, 3, 3)."""
         W = np.linalg.inv(S)
         Wr, WA = (
             np.concatenate([np.einsum("ij,j...->i...", w, x[part]) for w, part in zip(W, PARTS, strict=True)])

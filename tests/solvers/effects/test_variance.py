@@ -127,7 +127,7 @@ def test_the_most_likely_variances():
     found = []
     for seed in range(40):
         F, _ = rows(seed, blocks=60)
-        fit = most_likely(model_of(F, (1.0, 1.0, 1.0), (1.0, 1.0)), np.ones(5, dtype=bool))
+        fit = most_likely(model_of(F, (1.0, 1.0, 1.0), (1.0, 1.0)))
         live = np.concatenate([fit.variance > 0, [True, True]])
         assert np.abs(fit.gradient[live]).max() < 0.2
         found.append(np.concatenate([fit.variance, fit.noise]))
@@ -163,5 +163,5 @@ def test_another_correlation_is_comparable():
 def test_the_correlation_is_found():
     F, stretch = rows(8, rho=(0.8, 0.0), blocks=300)
     lasting = rows_of(F, stretch)
-    fit = most_likely(lasting.model.at(np.ones(3), np.ones(2)), np.ones(5, dtype=bool))
+    fit = most_likely(lasting.model.at(np.ones(3), np.ones(2)))
     assert lasting.correlation(fit) == pytest.approx((0.8, 0.0), abs=0.08)  # 3 of its standard errors
