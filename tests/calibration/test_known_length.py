@@ -41,10 +41,9 @@ def test_each_form_sets_it_right(taken, form):
     assert result.tracker_scale.scale == pytest.approx(1.002, abs=4 * result.tracker_scale.sigma + 1e-9)
     if "radius" in form:
         name = form.split(":")[0]
-        assert getattr(result, f"{name}_m") == pytest.approx(getattr(truth, f"{name}_m"), rel=1e-9)
+        assert getattr(result, f"{name}_m") == pytest.approx(getattr(truth, f"{name}_m"), rel=1e-6)
         assert getattr(result.sigma, f"{name}_m") is None
-        assert f"{name.replace('_', ' ')}" in str(result)
-        assert "(fixed)" in str(result)
+        assert name in result.fixed
 
 
 def known(form: str, truth, rng) -> str:
