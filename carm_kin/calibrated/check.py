@@ -14,6 +14,7 @@ from carm_kin.calibrated.check_one_axis import check_of_one_axis
 from carm_kin.calibrated.margin import SIGMAS, against, worst
 from carm_kin.calibration.calibrate import calibrate
 from carm_kin.calibration.cross_validate import torus_of
+from carm_kin.calibration.known_length import in_scale_of
 from carm_kin.calibration.problem import to_problem
 from carm_kin.errors import InputError
 from carm_kin.recording.formats import RecordingLike, as_recording
@@ -66,7 +67,8 @@ def check(
     for name, value in (("tolerance_m", tolerance_m), ("tolerance_rad", tolerance_rad)):
         if not 0 < value < np.inf:
             raise InputError(f"{name} must be a finite number above 0, not {value}")
-    result, recording = as_result(result), as_recording(recording)
+    result = as_result(result)
+    recording = in_scale_of(result, as_recording(recording))
     saved = torus_of(result, tuple(placement.label for placement in result.placements))
     new = calibrate(
         recording,

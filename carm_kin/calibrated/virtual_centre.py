@@ -11,6 +11,7 @@ import numpy as np
 
 from carm_kin.calibrated.check import taken_as_exact
 from carm_kin.calibrated.rotation_centre import chain_at, noise_of
+from carm_kin.calibration.known_length import in_scale_of
 from carm_kin.errors import InputError
 from carm_kin.recording.duplicates import NotMeasured
 from carm_kin.recording.formats import RecordingLike, as_recording
@@ -63,7 +64,8 @@ def virtual_centre(
     """
     if not 0 < tolerance_m < np.inf:
         raise InputError(f"tolerance_m must be a finite number above 0, not {tolerance_m}")
-    result, scan = as_result(result), as_recording(scan)
+    result = as_result(result)
+    scan = in_scale_of(result, as_recording(scan))
     T = scan.T_world_sensor
     if len(scan.placements) > 1:
         raise InputError(f"a scan is made at one placement of the base, not at {', '.join(scan.placements)}")

@@ -12,6 +12,7 @@ import numpy as np
 
 from carm_kin.calibration.calibrate import calibrate
 from carm_kin.calibration.cross_validate_point import placement_gone, point_errors, point_refusal
+from carm_kin.calibration.known_length import in_scale_of
 from carm_kin.calibration.problem import to_problem
 from carm_kin.calibration.settings import POINT
 from carm_kin.errors import InputError, RefusedError
@@ -39,24 +40,27 @@ def cross_validate(
     angular: str = "angular",
     orbital: str = "orbital",
     counted: np.ndarray | None = None,
+    known_length: str | None = None,
     **options: Any,
 ) -> CrossValidation:
     """Predict every part of the recording, which may be a path, with the fit to the other parts.
 
-    ``folds`` is their number; ``solver`` and ``options`` are those of `carm_kin.calibrate`. The poses of the mask
-    ``counted`` (N,) are scored, by default those that the fit to the whole recording does not reject. A fold without
-    which the rest does not determine the machine or a placement is refused by itself, and says why.
+    ``folds`` is their number; ``solver`` and ``options`` are those of `carm_kin.calibrate`; a ``known_length`` tells
+    the scale of the whole recording. The poses of the mask ``counted`` (N,) are scored, by default those that the fit
+    to the whole recording does not reject. A fold without which the rest does not determine the machine or a placement
+    is refused by itself, and says why.
 
     Raises InputError for a number of folds that the recording does not allow and a solver that gives neither a
     complete chain nor a point, RefusedError where the whole recording is refused or told in part.
     """
     recording = as_recording(recording)
     number = fold_of_poses(recording, folds)
-    whole = calibrate(recording, solver, angular=angular, orbital=orbital, **options)
+    whole = calibrate(recording, solver, angular=angular, orbital=orbital, known_length=known_length, **options)
     if whole.refusal:
         raise RefusedError(whole.refusal.code, whole.refusal.message)
     if whole.status == "partial":
         raise RefusedError("partial", f"not told: {'; '.join(whole.observability.unobservable)}")
+    recording = in_scale_of(whole, recording)
     of_point = options.get("locus") == POINT
     if not of_point:
         torus_of(whole, recording.placements)

@@ -98,10 +98,11 @@ def turns_untold(problem: Problem) -> tuple[str, ...]:
 
 
 def one_axis_in_words(problem: Problem) -> tuple[str, ...]:
-    """What the motion about one axis tells: its direction in the sensor and the world, and the orbit's radius.
+    """What the motion about one axis tells: its line in the sensor and the world, and the orbit's radius.
 
     The axis u of the world is fixed in the sensor as v where ``R_i v = u``: the first singular vectors of the mean
-    orientation. The sensor circles it, so that the positions across u lie on a circle.
+    orientation. The sensor circles it, so that the positions across u lie on a circle about a point c of the axis.
+    Seen from the sensor it passes the mean of ``R_iᵀ (c - p_i)``, the part along v left out.
     """
     if problem.placements > 1 or problem.R_world_sensor is None:
         return ()
@@ -110,14 +111,21 @@ def one_axis_in_words(problem: Problem) -> tuple[str, ...]:
     e = orthonormal_complement(u)
     turn = problem.rotations @ orthonormal_complement(v)[:, 0] @ e
     wobble = np.arctan2(np.linalg.norm(np.cross(problem.rotations @ v, u), axis=1), problem.rotations @ v @ u)
-    arc, radius = swept(np.arctan2(turn[:, 1], turn[:, 0])), circle_of(problem.p_world_sensor, u).radius
+    arc, circle = swept(np.arctan2(turn[:, 1], turn[:, 0])), circle_of(problem.p_world_sensor, u)
+    seen = np.einsum("nji,nj->ni", problem.rotations, circle.centre - problem.p_world_sensor).mean(axis=0)
     return (
         f"one axis turned, by {np.degrees(arc):.3g} deg: it stands along {in_words(v)} in the sensor and along "
-        f"{in_words(u)} in the world, the sensor circles it at {radius * 1e3:.4g} mm, and it wobbles by "
-        f"{np.degrees(np.sqrt((wobble**2).mean())):.2g} deg (rms)",
+        f"{in_words(u)} in the world, the sensor circles it at {circle.radius * 1e3:.4g} mm, and it wobbles by "
+        f"{np.degrees(np.sqrt((wobble**2).mean())):.2g} deg (rms); it passes {_point(seen - v * (v @ seen))} "
+        f"in the sensor and {_point(circle.centre)} in the world",
     )
 
 
 def in_words(direction: Array) -> str:
     """A unit vector (3,)."""
     return "(" + ", ".join(f"{x:+.3f}" for x in direction) + ")"
+
+
+def _point(p: Array) -> str:
+    """A point (3,), m."""
+    return "(" + ", ".join(f"{x * 1e3:+.1f}" for x in p) + ") mm"

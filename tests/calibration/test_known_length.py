@@ -7,6 +7,7 @@ import pytest
 
 import carm_kin
 from helpers.command import run
+from helpers.pointers import pointer
 
 SCALE = 1 / 1.002
 
@@ -40,21 +41,79 @@ def test_each_form_sets_it_right(taken, form):
     assert result.tracker_scale.scale == pytest.approx(1.002, abs=4 * result.tracker_scale.sigma + 1e-9)
     if "radius" in form:
         name = form.split(":")[0]
-        assert getattr(result, f"{name}_m") == pytest.approx(getattr(truth, f"{name}_m"), rel=1e-4)
+        assert getattr(result, f"{name}_m") == pytest.approx(getattr(truth, f"{name}_m"), rel=1e-6)
         assert getattr(result.sigma, f"{name}_m") is None
         assert name in result.fixed
 
 
-def test_the_uncertainty_is_that_of_repeated_recordings():
-    """By the machine's major radius, which is known to 0.3 mm: error over ± of 24 recordings."""
-    ratios = []
-    for seed in range(24):
+def known(form: str, truth, rng) -> str:
+    """A length that is known, drawn about the true one with the uncertainty that is stated."""
+    if form == "gauge":
+        return f"{400 + 0.2 * rng.normal()}:400+-0.2"
+    length = getattr(truth, f"{form}_m") * 1e3
+    return f"{form}:{length + 0.3 * rng.normal()}±0.3" if form == "minor_radius" else f"{form}:{length}"
+
+
+@pytest.mark.parametrize("form", ["gauge", "major_radius", "minor_radius"])
+def test_the_uncertainty_is_that_of_repeated_recordings(form):
+    """Of 30 recordings: what the offset is off by, over its ±; and the scale, which is 1."""
+    ratios, scales = [], []
+    for seed in range(30):
         recording, truth = carm_kin.simulate("mobile_nonisocentric", sigma_t_m=5e-4, sigma_r_rad=2e-3, seed=seed)
-        R = truth.major_radius_m * 1e3 + 0.3 * np.random.default_rng(seed).normal()
-        result = carm_kin.calibrate(recording, known_length=f"major_radius:{R}+-0.3")
+        some = recording.select(np.arange(len(recording)) % 5 == 0)
+        text = known(form, truth, np.random.default_rng(seed))
+        result = carm_kin.calibrate(some, known_length=text, systematic="none")
         inverse = np.linalg.inv(result.covariance.block("offset_sensor_pivot"))
         ratios.append(off(result, truth) @ inverse @ off(result, truth) / 3)
-    assert 0.5 < np.mean(ratios) < 1.7  # chi-square of 72 over 72: 1 within 4 of its standard deviations
+        scales.append((result.tracker_scale.scale - 1) / result.tracker_scale.sigma)
+    # chi-squares of 90 over 90 and of 30 over 30: 1 within 4 of their standard deviations
+    assert 0.4 < np.mean(ratios) < 1.6
+    assert 0.2 < np.mean(np.square(scales)) < 2.0
+
+
+def test_the_parts_of_the_uncertainty_add_up(taken):
+    recording, truth = taken
+    result = carm_kin.calibrate(recording, known_length=f"major_radius:{truth.major_radius_m * 1e3}+-0.1")
+    parts = sum(np.square(part.offset_sensor_pivot_m) for part in result.sigma_parts)
+    np.testing.assert_allclose(np.sqrt(parts), result.sigma.offset_sensor_pivot_m, rtol=1e-3)
+    assert result.sigma.major_radius_m == pytest.approx(1e-4)
+    assert result.sigma_parts[-1].major_radius_m == pytest.approx(1e-4)
+
+
+def test_what_is_told_in_part_bears_the_uncertainty_of_the_scale():
+    spun = pointer("spun", 0)
+    plain = carm_kin.calibrate(spun.recording, locus="point")
+    result = carm_kin.calibrate(spun.recording, locus="point", known_length="400:400+-4")
+    assert result.tracker_scale.sigma == pytest.approx(0.01)
+    for one, before in zip(result.told.told, plain.told.told, strict=True):
+        assert one.sigma_m == pytest.approx(np.hypot(before.sigma_m, 0.01 * before.offset_m))
+
+
+def test_a_pointers_tip_by_a_gauge():
+    one = pointer("cone", 0)
+    short = replace(one.recording, p_world_sensor=one.recording.p_world_sensor / 1.02)
+    result = carm_kin.calibrate(short, locus="point", known_length="102:100")
+    assert (np.abs(result.offset_sensor_pivot_m - one.tip) < 4 * result.sigma.offset_sensor_pivot_m).all()
+    assert [note.code for note in result.warnings] == ["tracker_scale"]
+
+
+def test_what_is_done_with_such_a_result_is_in_its_scale(taken):
+    """Held-out poses, and a check by a recording of the same tracker, miss by no more than without."""
+    recording, _ = taken
+    text = f"400:{400 * SCALE}"
+    plain, known = (carm_kin.cross_validate(recording, 2, known_length=length).overall for length in (None, text))
+    assert known.translation_rms_m == pytest.approx(plain.translation_rms_m * 1.002, rel=1e-3)
+    result = carm_kin.calibrate(recording, known_length=text)
+    assert carm_kin.check(result, recording, tolerance_m=5e-4).status == "passed"
+
+
+def test_a_centre_is_in_the_scale_of_the_calibration(taken):
+    recording, _ = taken
+    orbital = next(sweep for sweep in recording.sweeps if sweep.moving == "orbital")
+    scan = recording.select(np.isin(np.arange(len(recording)), orbital.poses))
+    plain = carm_kin.virtual_centre(carm_kin.calibrate(recording), scan)
+    known = carm_kin.virtual_centre(carm_kin.calibrate(recording, known_length="400:500"), scan)
+    np.testing.assert_allclose(known.centre_world_m, 0.8 * plain.centre_world_m, atol=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -62,7 +121,11 @@ def test_the_uncertainty_is_that_of_repeated_recordings():
     [
         ("400", "must be of the form"),
         ("bar:400", "neither a length nor one of major_radius, minor_radius"),
+        (400.0, "must be of the form"),
+        ("400:400.8+-", "must be of the form"),
+        ("400:-400", "must be of the form"),
         ("0:400", "above 0"),
+        ("1e999:400", "finite"),
         ("400:400.8+-x", "must be of the form"),
         ("400:0.4", "a scale that no tracker has"),
         ("major_radius:800", "a scale that no tracker has"),
@@ -71,6 +134,12 @@ def test_the_uncertainty_is_that_of_repeated_recordings():
 def test_bad_lengths(taken, text, words):
     with pytest.raises(carm_kin.InputError, match=words):
         carm_kin.calibrate(taken[0], known_length=text)
+
+
+def test_a_solver_without_an_uncertainty_takes_a_gauge_alone(taken):
+    assert carm_kin.calibrate(taken[0], "closed_form", known_length="400:400").tracker_scale.scale == 1
+    with pytest.raises(carm_kin.InputError, match="gives the minor radius no uncertainty"):
+        carm_kin.calibrate(taken[0], "closed_form", known_length="minor_radius:700")
 
 
 def test_a_length_that_the_poses_do_not_tell():

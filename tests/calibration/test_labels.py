@@ -70,4 +70,7 @@ def test_a_positioner_whose_readings_wander_within_its_sweeps():
     assert np.isfinite(label).all()
     found = carm_kin.calibrate(replace(recording, joints={}))
     read = carm_kin.calibrate(swept)
+    assert (found.status, read.status) == ("ok", "ok")
+    assert found.major_radius_interval_95_m[0] <= 0.58e-3 <= found.major_radius_interval_95_m[1]
+    assert read.major_radius_interval_95_m[0] <= 0.58e-3 <= read.major_radius_interval_95_m[1]
     assert read.major_radius_m == pytest.approx(found.major_radius_m, abs=4 * found.sigma.major_radius_m)

@@ -1,5 +1,6 @@
 """What a motion tells does not depend on which noise is absent, and a joint that hardly moves tells nothing."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -141,6 +142,25 @@ def test_the_axis_that_turned_is_told():
     assert "one axis turned, by 100 deg" in words
     assert "the sensor circles it at 500 mm" in words
     assert "(+1.000, " in words or "(-1.000, " in words
+    sensor, world = points(words)
+    # the axis z of the world, which a sensor at (0.3, 0.4, 1) m sees in its own frame
+    np.testing.assert_allclose(world[:2], 0, atol=0.2)
+    np.testing.assert_allclose(sensor, mount.inv().apply([-300, -400, 0]), atol=0.3)
+
+
+def points(message: str) -> list[list[float]]:
+    """The two points, mm, of the line that a sentence tells: in the sensor and in the world."""
+    found = re.search(r"it passes \(([^)]*)\) mm in the sensor and \(([^)]*)\) mm in the world", message)
+    assert found is not None
+    return [[float(x) for x in words.split(",")] for words in found.groups()]
+
+
+OF_SAWYER = (
+    ((3.5, 342.7, -0.1), (-0.3, 0.4, 0.0), (-0.00147, -0.00045, -1.0)),
+    ((-70.5, 410.8, -533.6), (0.6, 80.3, 315.9), (-0.99999, 0.00348, 0.00103)),
+    ((-200.3, 388.1, 0.5), (-192.9, 81.9, 0.3), (-0.00120, 0.00132, -1.0)),
+)
+"""Least squares of R_i y + p_i = c + s_i u, made apart from the project: y and c, mm, and u."""
 
 
 @pytest.mark.parametrize("joint", range(3))
@@ -153,6 +173,10 @@ def test_a_joint_of_a_real_arm_is_one_axis(joint):
     radius = (342.7, 676.8, 436.7)[joint]
     assert f"{radius} mm" in found.message
     assert all(len(note.message) < 400 for note in result.warnings)
+    in_sensor, in_world = points(found.message)
+    np.testing.assert_allclose(in_sensor, OF_SAWYER[joint][0], atol=1.0)
+    c, u = np.array(OF_SAWYER[joint][1:])
+    assert np.linalg.norm(np.cross(in_world - c, u)) < 1.0
 
 
 def test_two_joints_of_a_real_arm_stay_two_axes():
