@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 import carm_kin
-from carm_kin.cli import batch, calibrate, compare, experiment, export, files, live, machine, verify
+from carm_kin.cli import batch, calibrate, compare, experiment, export, files, live, machine, trend, verify
 from carm_kin.cli.loudness import App, Quiet, Verbose, heard, set_loudness
 from carm_kin.cli.output import ended
 from carm_kin.cli.terminal import to_stdout, use_any_encoding, use_plain_warnings
@@ -28,6 +28,7 @@ for _commands in (
     calibrate,
     compare,
     verify,
+    trend,
     batch,
     experiment,
     export,
