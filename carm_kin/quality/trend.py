@@ -115,7 +115,7 @@ class Trend:
     def verdict(self) -> str:
         """The status in a sentence."""
         latest = self.results[-1]
-        return f"{self.status}: {latest.label}: {'; '.join(latest.reasons) or 'as the reference'}"
+        return f"{self.status}: {latest.label}: {'; '.join(latest.reasons) or 'agrees with the reference'}"
 
     def __str__(self) -> str:
         """What `carm-kin trend` prints."""
@@ -219,7 +219,7 @@ def _reason(chart: Chart, k: int) -> str:
     scale, unit = chart.kind.scale, chart.kind.unit
     number = f"{chart.change[k] * scale:.3f}" if chart.quantity == OFFSET_CHANGE else f"{chart.change[k] * scale:+.3f}"
     again = ", for the second time in three results" if twice else ""
-    return f"{chart.quantity} {number} {unit}, {status} beyond {limit * scale:.3f}{again}"
+    return f"{chart.quantity} {number} {unit}, beyond {limit * scale:.3f}{again} ({status})"
 
 
 def _warnings(counted: Sequence[Dated], n: int) -> tuple[Note, ...]:
@@ -243,7 +243,7 @@ def _scattering(results: Sequence[CalibrationResult], n: int) -> list[str]:
     every = {name: (LENGTH, offset.component(k)) for k, name in enumerate(OFFSET_COMPONENTS)} | scalars(results, n)
     return [
         f"{name} by {np.std(given.values[:n], ddof=1) * kind.scale:.3f} {kind.unit}, one sigma, where "
-        f"{np.sqrt(given.covariances[:n].mean()) * kind.scale:.3f} is stated"
+        f"{np.sqrt(given.covariances[:n].mean()) * kind.scale:.3f} {kind.unit} is stated"
         for name, (kind, given) in every.items()
         if scatters_more_than_stated(given)
     ]

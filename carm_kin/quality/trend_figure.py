@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from carm_kin.quality.trend import Chart, Trend
 
-COLOURS = {BASELINE: "#6b7280", PASS: "#0b6e4f", NOTE: "#b45309", ALERT: "#c2410c", FAIL: "#9f1239"}
+COLOURS = {BASELINE: "#6b7280", PASS: "#0b6e4f", NOTE: "#ca8a04", ALERT: "#c2410c", FAIL: "#9f1239"}
 UNJUDGED = "#1f6feb"
 MOST_DATES = 8
 """Below an axis."""
@@ -23,12 +23,13 @@ def trend_figure(trend: "Trend") -> "Figure":
     """A panel for each quantity: values with one standard deviation, the reference, its limits, statuses as colours."""
     rows = -(-len(trend.charts) // 2)
     drawn = figure(10, 2.2 * rows + 0.8)
-    panels = drawn.subplots(rows, 2, squeeze=False, sharex=True)
+    panels = [*drawn.subplots(rows, 2, squeeze=False).flat]
     dates = [one.date[:10] for one in trend.results]
-    for panel, chart in zip(panels.flat, trend.charts, strict=False):
-        _panel(panel, chart, trend.baseline)
-        _dates(panel, dates)
-    for panel in list(panels.flat)[len(trend.charts) :]:
+    for k, chart in enumerate(trend.charts):
+        _panel(panels[k], chart, trend.baseline)
+        lowest = k + 2 >= len(trend.charts)
+        _dates(panels[k], dates if lowest else [""] * len(dates))
+    for panel in panels[len(trend.charts) :]:
         panel.axis("off")
     drawn.legend(handles=_key(), loc="outside lower center", ncols=9, fontsize=8, frameon=False)
     return drawn
@@ -51,10 +52,22 @@ def _panel(panel: Any, chart: "Chart", baseline: int) -> None:
     statuses = chart.statuses or (None,) * len(order)
     colours = [UNJUDGED if status is None else COLOURS[status] for status in statuses]
     panel.scatter(order, chart.values * scale, c=colours, s=18, zorder=3)
-    panel.set_title(f"{chart.quantity}, {chart.kind.unit}", loc="left", fontsize=9)
+    fail = f"fail beyond {limits.fail[-1] * scale:.3g}" if chart.statuses else "counts in the change of the offset"
+    panel.set_title(f"{chart.quantity}, {chart.kind.unit} ({fail})", loc="left", fontsize=9)
+    panel.set_ylim(*_reach(chart, baseline))
     panel.set_xlim(-0.5, len(order) - 0.5)
     panel.grid(axis="y", color="#d0d7de", linewidth=0.5)
     panel.ticklabel_format(axis="y", useOffset=False)
+
+
+def _reach(chart: "Chart", baseline: int) -> tuple[float, float]:
+    """Of the values and the alert limits; the fail limit may be far outside."""
+    ends = (chart.values + chart.sigma, chart.values - chart.sigma)
+    alert = chart.limits.alert[baseline:].max()
+    low = 0.0 if chart.quantity == OFFSET_CHANGE else min(ends[1].min(), chart.reference - alert)
+    high = max(ends[0].max(), chart.reference + alert)
+    margin = 0.1 * (high - low)
+    return (low - margin) * chart.kind.scale, (high + margin) * chart.kind.scale
 
 
 def _dates(panel: Any, dates: list[str]) -> None:
