@@ -81,5 +81,5 @@ def _key() -> list[Any]:
 
     dots = [Line2D([], [], color=COLOURS[s], marker="o", linestyle="", markersize=4, label=s) for s in WORSE]
     dots.append(Line2D([], [], color=UNJUDGED, marker="o", linestyle="", markersize=4, label="not judged"))
-    styles = ((NOTE, ":"), (ALERT, "--"), (FAIL, "-"))
+    styles: tuple[tuple[str, Any], ...] = ((NOTE, ":"), (ALERT, "--"), (FAIL, "-"))
     return dots + [Line2D([], [], color=COLOURS[s], linestyle=style, label=f"{s} beyond") for s, style in styles]

@@ -27,7 +27,7 @@ def base() -> carm_kin.CalibrationResult:
 def made(base, month: int, x_mm: float = 0.0, R_mm: float = 0.0, skew_deg: float = 0.0, **more):
     """A calibration of that month, its numbers moved."""
     moved = {
-        "offset_sensor_pivot_m": base.offset_sensor_pivot_m + [x_mm / 1e3, 0, 0],
+        "offset_sensor_pivot_m": base.offset_sensor_pivot_m + np.array([x_mm / 1e3, 0, 0]),
         "major_radius_m": base.major_radius_m + R_mm / 1e3,
         "axis_non_orthogonality_rad": base.axis_non_orthogonality_rad + np.radians(skew_deg),
         "provenance": replace(base.provenance, date=f"2024-{month:02d}-01T08:00:00+00:00", input_sha256=f"{month}"),
