@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from carm_kin.machine.machine import Machine as Machine
     from carm_kin.machine.urdf import UrdfFile as UrdfFile
     from carm_kin.machine.urdf import read_urdf as read_urdf
+    from carm_kin.quality.trend import Trend as Trend
+    from carm_kin.quality.trend import trend as trend
     from carm_kin.recording.declarations import Declarations as Declarations
     from carm_kin.recording.formats import read_recording as read_recording
     from carm_kin.recording.formats import write_recording as write_recording
@@ -67,6 +69,7 @@ _HOME = {
     "RefusedError": "carm_kin.errors",
     "RotationCentre": "carm_kin.calibrated.rotation_centre",
     "Settings": "carm_kin.calibration.settings",
+    "Trend": "carm_kin.quality.trend",
     "UrdfFile": "carm_kin.machine.urdf",
     "VirtualCentre": "carm_kin.results.virtual_centre_result",
     "Xray": "carm_kin.calibrated.xray",
@@ -82,6 +85,7 @@ _HOME = {
     "read_result": "carm_kin.results.result",
     "read_urdf": "carm_kin.machine.urdf",
     "simulate": "carm_kin.simulation.simulate",
+    "trend": "carm_kin.quality.trend",
     "virtual_centre": "carm_kin.calibrated.virtual_centre",
     "write_figures": "carm_kin.report",
     "write_recording": "carm_kin.recording.formats",

@@ -23,12 +23,14 @@ GROUND = tuple(f"carm_kin.{name}" for name in ("canvas", "errors", "files", "ste
 PLAN = {
     "carm_kin.__main__": "cli",
     "cli": "carm_kin batches calibrated calibration exports ground machine recording report results simulation streams "
-    "study solvers solvers.effects solvers.loci solvers.se3",
-    "carm_kin": "batches calibrated calibration exports ground machine recording report results simulation study",
+    "quality study solvers solvers.effects solvers.loci solvers.se3",
+    "carm_kin": "batches calibrated calibration exports ground machine quality recording report results simulation "
+    "study",
     "testing": "calibration exports ground recording results solvers solvers.direct solvers.estimate solvers.loci "
     "solvers.problem solvers.se3 solvers.torus",
     "study": "batches calibration ground recording report results simulation "
     "solvers solvers.estimate solvers.likelihood solvers.nearest solvers.problem solvers.se3 solvers.torus",
+    "quality": "ground report results solvers.estimate solvers.se3",
     "batches": "calibration ground machine recording results",
     "streams": "calibration ground recording results solvers.se3",
     "report": "calibration ground recording results "

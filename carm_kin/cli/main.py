@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 import carm_kin
-from carm_kin.cli import batch, calibrate, compare, experiment, export, files, isocentre, live, machine, verify
+from carm_kin.cli import batch, calibrate, compare, experiment, export, files, isocentre, live, machine, trend, verify
 from carm_kin.cli.loudness import App, Quiet, Verbose, heard, set_loudness
 from carm_kin.cli.output import ended
 from carm_kin.cli.terminal import to_stdout, use_any_encoding, use_plain_warnings
@@ -29,6 +29,7 @@ for _commands in (
     compare,
     verify,
     isocentre,
+    trend,
     batch,
     experiment,
     export,

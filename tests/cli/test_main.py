@@ -16,7 +16,8 @@ from carm_kin.machine.urdf import bundled_urdfs
 from carm_kin.results.result import CalibrationResult
 from helpers.command import fails, run
 
-COMMANDS = ("demo", "inspect", "simulate", "calibrate", "compare", "check", "centre", "batch", "export", "convert")
+RESULTS = ("calibrate", "compare", "check", "centre", "trend", "batch", "export")
+COMMANDS = ("demo", "inspect", "simulate", "convert", *RESULTS)
 
 
 @pytest.fixture(scope="module")
