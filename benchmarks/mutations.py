@@ -31,7 +31,17 @@ def run(job: tuple[str, int]) -> Outcome:
     return judged(take, offsets)
 
 
-HEADER = ("change", "ok, silent", "ok, warned", "doubtful", "refused", "error mm", "error / sigma", "wrong ok", "said (runs)")
+HEADER = (
+    "change",
+    "ok, silent",
+    "ok, warned",
+    "doubtful",
+    "refused",
+    "error mm",
+    "error / sigma",
+    "wrong ok",
+    "said (runs)",
+)
 
 
 def row_of(mutation: Mutation, found: list[Outcome]) -> list[str]:

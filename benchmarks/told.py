@@ -1,6 +1,6 @@
 """Recordings that tell a part, or nothing: ``python -m benchmarks.told --seeds 100``.
 
-Pointers and single joints; the simulation shares nothing with the estimators.
+Pointers and single joints. The simulation shares nothing with the estimators.
 """
 
 import argparse
@@ -66,8 +66,9 @@ def still(phase: Array, tip: Array, rng: np.random.Generator) -> Array:
 
 
 def spun(phase: Array, tip: Array, rng: np.random.Generator) -> Array:
-    """About the line from the sensor's origin to the tip."""
-    return rng.uniform(2, 6) * phase[:, None] * tip / np.linalg.norm(tip)
+    """About a shaft through the tip that passes the sensor by a fifth of its length."""
+    shaft = tip / np.linalg.norm(tip) + 0.2 * unit(rng)
+    return rng.uniform(2, 6) * phase[:, None] * shaft / np.linalg.norm(shaft)
 
 
 def rocked(size_deg: float) -> Callable[[Array, Array, np.random.Generator], Array]:
@@ -168,8 +169,8 @@ def row_of(name: str, found: list[Outcome]) -> list[str]:
     ]
 
 
-NOTES = f"""{FRAMES} frames of tools with random shafts and tips 80 to 350 mm from the sensor, and of C-arms of which one
-joint turns; {SIGMA_T / MM:.1f} mm and {SIGMA_R / DEG:.2f} deg of white noise but where said, outliers of 3 to 100 mm.
+NOTES = f"""{FRAMES} frames of tools with random shafts and tips 80 to 350 mm from the sensor, and of C-arms of which
+one joint turns; {SIGMA_T / MM:.1f} mm and {SIGMA_R / DEG:.2f} deg of white noise but where said, outliers of 3 to 100 mm.
 Numbers of runs by status. Error / sigma: the worst component of the offset, or of what is told of it, median and
 greatest over the runs that tell something. Wrong: off by more than {WRONG:.0f} standard deviations."""
 

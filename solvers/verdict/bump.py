@@ -2,8 +2,9 @@
 
 Found by `solvers.verdict.change`, then confirmed.
 
-A flex of the gantry, its play, noise that drifts and wrong labels make steps in time, too. A move of the base differs: no
-function of the angles, no play and no ramp explains it better, and once its parts have a placement each, no step is left.
+A flex of the gantry, its play, noise that drifts and wrong labels make steps in time, too. A move of the base differs:
+no function of the angles, no play and no ramp explains it better, and once its parts have a placement each, no step is
+left.
 """
 
 from dataclasses import dataclass, replace
