@@ -69,7 +69,7 @@ def bump_of(
     by_angle = (most_likely(rows, part, by=angle) for angle in angles)
     if any(rival.over(lasts).statistic + BETTER > change.statistic for rival in by_angle if rival):
         return None
-    if lowered_by_play(rows, angles, part) / lasts + BETTER > change.statistic:
+    if lowered_by_play(rows, angles, part) / lasts + BETTER > max(slip.statistic, change.statistic):
         return None
     if slip.statistic > max(change.statistic, slip.drift) + BETTER:
         return _slip(torus, int(np.flatnonzero(used)[slip.pose]), slip.displacement, sigma)
