@@ -169,10 +169,10 @@ def row_of(name: str, found: list[Outcome]) -> list[str]:
     ]
 
 
-NOTES = f"""{FRAMES} frames of tools with random shafts and tips 80 to 350 mm from the sensor, and of C-arms of which
-one joint turns; {SIGMA_T / MM:.1f} mm and {SIGMA_R / DEG:.2f} deg of white noise but where said, outliers of 3 to 100 mm.
-Numbers of runs by status. Error / sigma: the worst component of the offset, or of what is told of it, median and
-greatest over the runs that tell something. Wrong: off by more than {WRONG:.0f} standard deviations."""
+NOTES = f"""{FRAMES} frames of tools with random shafts and tips 80 to 350 mm from the sensor, and of C-arms of
+which one joint turns; {SIGMA_T / MM:.1f} mm and {SIGMA_R / DEG:.2f} deg of white noise but where said, outliers of 3 to
+100 mm. Numbers of runs by status. Error / sigma: the worst component of the offset, or of what is told of it, median
+and greatest over the runs that tell something. Wrong: off by more than {WRONG:.0f} standard deviations."""
 
 
 def main() -> None:
