@@ -31,7 +31,17 @@ def run(job: tuple[str, int]) -> Outcome:
     return judged(take, offsets)
 
 
-HEADER = ("change", "ok, silent", "ok, warned", "refused", "error mm", "error / sigma", "wrong ok", "said (runs)")
+HEADER = (
+    "change",
+    "ok, silent",
+    "ok, warned",
+    "doubtful",
+    "refused",
+    "error mm",
+    "error / sigma",
+    "wrong ok",
+    "said (runs)",
+)
 
 
 def row_of(mutation: Mutation, found: list[Outcome]) -> list[str]:
@@ -39,11 +49,13 @@ def row_of(mutation: Mutation, found: list[Outcome]) -> list[str]:
     good = [o for o in found if o.accepted]
     counts = Counter(code for o in found for code in set(o.codes))
     said = ", ".join(f"{code} {count}" for code, count in counts.most_common(3))
-    silent = sum(not o.codes for o in good)
+    sound = [o for o in good if o.status == "ok"]
+    silent = sum(not o.codes for o in sound)
     return [
         mutation.name + (" (*)" if mutation.hidden else ""),
         f"{silent}",
-        f"{len(good) - silent}",
+        f"{len(sound) - silent}",
+        f"{len(good) - len(sound)}",
         f"{len(found) - len(good)}",
         f"{1e3 * np.median([o.error_m for o in good]):.3f}" if good else "-",
         f"{np.median([np.abs(o.ratio).max() for o in good]):.1f}" if good else "-",
@@ -54,9 +66,10 @@ def row_of(mutation: Mutation, found: list[Outcome]) -> list[str]:
 
 NOTES = f"""Sweeps moved by hand as in the section on realism, {RATE:g} frames a second, {SIGMA_T * 1e3:.1f} mm and
 {np.degrees(SIGMA_R):.2f} deg of white noise, exact labels of the held joints. Numbers of runs; silent: no warning but
-on the zeros of the angles. Error and its ratio to the stated standard deviation, the worst component: medians over
-the accepted runs, against the nearest of the right offsets where a sensor was re-seated. Wrong ok: accepted with a
-component off by more than {WRONG:.0f} standard deviations, whatever was warned of."""
+on the zeros of the angles; doubtful: the parts of the recording disagree (exit status 3). Error and its ratio to the
+stated standard deviation, the worst component: medians over the runs with numbers, against the nearest of the right
+offsets where a sensor was re-seated. Wrong ok: numbers with a component off by more than {WRONG:.0f} standard
+deviations, whatever was warned of."""
 
 
 def summary(found: dict[str, list[Outcome]]) -> str:

@@ -74,8 +74,8 @@ def assess(
     others are NaN."""
     used = np.ones(len(problem), dtype=bool) if estimate.used is None else estimate.used
     problem = replace(problem, shape=estimate.shape)
-    part = estimate.weighed(problem)
-    part = part if used.all() else part.select(used)
+    weighed = estimate.weighed(problem)
+    part = weighed if used.all() else weighed.select(used)
     if estimate.told is not None:
         return _assess_point(problem, part, estimate, used, limits)
     if estimate.torus is None or len(part) < limits.min_poses:
@@ -120,10 +120,10 @@ def assess(
     open_question = refusal is None or (refusal.code == "misfit" and moved_at is None)
     if refusal and not causes and moved_at is None and (fixed := of_point.still_point_note(problem)):
         causes = (fixed,)
-    bump = bump_of(problem, estimate, angles, sigma, line) if open_question and not causes else None
+    bump = bump_of(weighed, estimate, angles, sigma, line) if open_question and not causes else None
     if open_question and not causes and not bump:
         another = two_sensors_of(part, torus, angles, sigma, line, np.flatnonzero(used))
-        another = another or several_moves_of(problem, estimate)
+        another = another or several_moves_of(weighed, estimate)
         causes = (another,) if another else ()
     moved, moved_at = ((bump.note,), None) if bump else ((), moved_at)
     causes = moved if bump and bump.harmful else causes

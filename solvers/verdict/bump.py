@@ -2,8 +2,9 @@
 
 Found by `solvers.verdict.change`, then confirmed.
 
-A flex of the gantry, noise that drifts and wrong labels make steps in time, too. A move of the base differs: no
-function of the angles and no ramp explains it better, and once its parts have a placement each, no step is left.
+A flex of the gantry, its play, noise that drifts and wrong labels make steps in time, too. A move of the base differs:
+no function of the angles, no play and no ramp explains it better, and once its parts have a placement each, no step is
+left.
 """
 
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ from solvers.problem import Problem
 from solvers.se3 import Array, exp_se3, inverse, log_so3_small
 from solvers.torus import Torus
 from solvers.verdict.change import LEAST_POSES, SENSOR, Change, correlation_beside, most_likely, rows_of
+from solvers.verdict.play import lowered_by_play
 
 FALSE_ALARM = 1e-6
 """Probability of a change where there is none, under independent noise."""
@@ -27,7 +29,7 @@ CLEAR = 10.0
 CLEAR_OF_TWO = 5.0
 """The same of two moves."""
 BETTER = 10.0
-"""Moves have to lower the weighted sum of squares by so much more than a drift or a function of an angle."""
+"""Moves have to lower the weighted sum of squares by so much more than a drift, a function of an angle or play."""
 HARMFUL = 2.0
 """Standard deviations of the offset by which a move may change it without harm."""
 
@@ -66,6 +68,8 @@ def bump_of(
         return None
     by_angle = (most_likely(rows, part, by=angle) for angle in angles)
     if any(rival.over(lasts).statistic + BETTER > change.statistic for rival in by_angle if rival):
+        return None
+    if lowered_by_play(rows, angles, part) / lasts + BETTER > max(slip.statistic, change.statistic):
         return None
     if slip.statistic > max(change.statistic, slip.drift) + BETTER:
         return _slip(torus, int(np.flatnonzero(used)[slip.pose]), slip.displacement, sigma)

@@ -121,6 +121,11 @@ def most_likely(rows: Array, problem: Problem, by: Array | None = None, of: slic
     return best
 
 
+def left_of(rows: Array, problem: Problem) -> float:
+    """The weighted sum of squares that the columns of `rows_of` leave of the residuals."""
+    return _Normal.of(rows, problem).cost
+
+
 def correlation_beside(rows: Array, problem: Problem, change: Change, of: slice = BASE) -> float:
     """For how many poses what the ``change``, in time, and all columns of ``rows`` leave lasts: the longest of both
     kinds of noise and of what lies along the change."""

@@ -15,6 +15,7 @@ from solvers.problem import Problem
 from solvers.se3 import exp_se3
 from solvers.torus import Torus
 from solvers.verdict.change import Change, most_likely, rows_of
+from solvers.verdict.play import with_play
 
 MOST_MOVES = 5
 FALSE_ALARM = 1e-6
@@ -72,7 +73,8 @@ def _change(problem: Problem, fit: Estimate) -> Change | None:
     if fit.torus is None or fit.angles is None:
         return None
     angles, sigma = fit.angles.T, (fit.sigma_t or 0.0, fit.sigma_r or 0.0)
-    return most_likely(rows_of(linearise(fit.torus, angles, problem), angles, problem, sigma, flex=False), problem)
+    rows = rows_of(linearise(fit.torus, angles, problem), angles, problem, sigma, flex=False)
+    return most_likely(with_play(rows, angles, problem), problem)
 
 
 def _divided(problem: Problem, torus: Torus, change: Change) -> tuple[Problem, Torus]:

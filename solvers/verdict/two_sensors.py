@@ -58,13 +58,15 @@ def two_sensors_of(
     groups = _groups(rows)
     if groups is not None:
         spread, apart = groups
-        found = Nuisance.of(rows, problem).displaced(apart)
+        nuisance = Nuisance.of(rows, problem)
+        found = nuisance.displaced(apart)
         few = apart if apart.mean() <= 0.5 else ~apart
         orders = (np.arange(len(apart)), *np.argsort(angles, axis=1))
         by_turns = all(_alternates(apart[order]) for order in orders) and found.lowered > (FAR_LESS - 1) * found.left
         shift, turn = found.of_sensor(torus)
         beside = (shift > LEAST_BESIDE_M or turn > LEAST_BESIDE_RAD) and _seen(rows[..., few], found.delta, sigma)
-        if beside and (spread * LEAST_GAP <= 1 or by_turns) and found.probability() < FALSE_ALARM:
+        lasts = nuisance.correlation_time(apart, found)
+        if beside and (spread * LEAST_GAP <= 1 or by_turns) and found.probability(lasts) < FALSE_ALARM:
             return Note(
                 "two_sensors",
                 f"{few.sum()} of {len(few)} poses are of a sensor {found.of_sensor_in_words(torus)} beside that of the "

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks import mutations, realism
+from benchmarks import mutations, realism, told
 from benchmarks.changes import MUTATIONS, Scene
 from benchmarks.hand_moved import Machine, Motion
 from carm_kin.testing import truth
@@ -39,3 +39,10 @@ def test_a_row_of_either_table():
     assert len(mutations.row_of(MUTATIONS[0], [outcome])) == len(mutations.HEADER)
     outcome = realism.run(("white", 0))
     assert len(realism.row_of("white", [outcome])) == len(realism.HEADER)
+    assert len(told.row_of("told", [told.run((told.KINDS[1].name, 0))])) == len(told.HEADER)
+
+
+def test_a_label_that_was_not_used_is_no_move_of_the_base():
+    outcome = mutations.run(("a label 5 deg off", 2))
+    assert outcome.status == "ok"
+    assert "wrong_label" in outcome.codes
