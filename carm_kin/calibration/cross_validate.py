@@ -1,8 +1,8 @@
 """Held-out check: every part of a recording predicted by the fit to the other parts.
 
 A fold is a share of the sweeps where there are sweeps, else one contiguous block of every base placement.
-Of a fit only the machine and where it stands are kept. The angles of the held-out poses that no label
-gives are fitted to these poses themselves, and so absorb a part of their residuals.
+Of a fit only the machine and where it stands are kept. The angles of the held-out poses that no exact label
+gives are fitted to these poses themselves, one a sweep where a joint is held, and so absorb a part of their residuals.
 """
 
 from dataclasses import replace
@@ -23,6 +23,7 @@ from carm_kin.results.result import CalibrationResult
 from carm_kin.steps import step
 from solvers.estimate import Note
 from solvers.kinematic import fit_angles
+from solvers.likelihood.labels import unlabelled
 from solvers.likelihood.linearise import linearise
 from solvers.problem import ANGULAR, ORBITAL, Problem
 from solvers.torus import Torus
@@ -170,6 +171,7 @@ def _spread(angle: np.ndarray) -> float:
 def _predicted(recording: Recording, problem: Problem, fit: CalibrationResult, scored: np.ndarray) -> Errors:
     """Errors of the ``scored`` (N,) poses, their unknown angles fitted to them with the noise of the fit."""
     torus = torus_of(fit, recording.placements)
+    problem = unlabelled(problem)
     label = problem.label.copy()
     label[~torus.referenced[problem.placement], ANGULAR] = np.nan
     if not torus.orbital_referenced:
