@@ -6,7 +6,7 @@ Sweeps moved by hand from `benchmarks.hand_moved`, every second frame fitted, de
 import argparse
 import time
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -47,6 +47,8 @@ class Effect:
     backlash: tuple[float, float] = (0.0, 0.0)
     creep_mm: float = 0.0
     """How far the base creeps."""
+    slip_deg: float = 0.0
+    """How far the joint that is held turns in the course of a sweep, either way."""
     label_deg: float | None = None
     """Step of the labels of held joints; None: no labels, 0: exact."""
 
@@ -72,6 +74,8 @@ EFFECTS = (
     Effect("flex 4 mm", flex=(4.0, 0.2)),
     Effect("backlash 0.5 mm", backlash=(0.5, 0.05)),
     Effect("creep 0.5 mm", creep_mm=0.5),
+    Effect("held joint slips 0.3 deg", slip_deg=0.3),
+    Effect("held joint slips 1 deg", slip_deg=1.0),
     Effect("mild", ar1=0.7, field=(0.1, 0.01), flex=(0.3, 0.03), backlash=(0.1, 0.01), creep_mm=0.1),
     Effect("typical", 0.9, 0.05, 2.0, (0.2, 0.02), 0.5, (1.0, 0.05), (0.25, 0.025), 0.2),
     Effect("hard", 0.97, 0.15, 3.0, (0.5, 0.05), 0.5, (2.0, 0.1), (0.5, 0.05), 0.5),
@@ -104,6 +108,8 @@ class Outcome:
 def simulated(effect: Effect, rng: np.random.Generator) -> tuple[Machine, Take]:
     """A machine, and what the tracker and the operator recorded of it."""
     machine, motion = Machine.random(rng), Motion.random(rng)
+    if effect.slip_deg:
+        motion = _slipping(motion, effect.slip_deg * DEG, rng)
     bent = _sag(machine, motion.angles, effect, rng) + _play(motion, effect, rng)
     p, R = machine.poses(motion.angles, bent)
     drift = np.linspace(0, 1, len(p))[:, None] ** 0.7
@@ -124,6 +130,16 @@ def simulated(effect: Effect, rng: np.random.Generator) -> tuple[Machine, Take]:
     time_s = np.arange(len(p)) / RATE_HZ + 3.0 * motion.sweep
     take = Take(p, R, time_s, motion.sweep, motion.moving, label, np.zeros(len(p), dtype=int))
     return machine, take.select(slice(None, None, EVERY))
+
+
+def _slipping(motion: Motion, size: float, rng: np.random.Generator) -> Motion:
+    """The held joint turns by the size in every sweep, at once or little by little."""
+    angles = motion.angles.copy()
+    for sweep in range(motion.sweep.max() + 1):
+        here = np.flatnonzero(motion.sweep == sweep)
+        course = np.linspace(0, 1, len(here)) ** rng.uniform(0.3, 3.0)
+        angles[here, 1 - motion.moving[here[0]]] += size * rng.choice([-1.0, 1.0]) * course
+    return replace(motion, angles=angles)
 
 
 def _noise(n: int, ar1: float, rng: np.random.Generator) -> Array:
