@@ -143,6 +143,8 @@ class Estimate:
     """(N,) which poses had a say; None: all."""
     sigma_label: Array | None = None
     """(N, 2) `Problem.sigma_label` as the solver took it after weighing the labels; None: as it was given."""
+    soft: np.ndarray | None = None
+    """(N, 2) `Problem.soft` as the solver took it."""
     residual: Array | None = None
     """(N, K) what the solver's own model leaves of each pose, m, where there is no complete chain."""
     covariance: Covariance | None = None
@@ -165,7 +167,8 @@ class Estimate:
     notes: tuple[Note, ...] = field(default=())
 
     def weighed(self, problem: Problem) -> Problem:
-        """The problem with the noise of poses and labels as the solver took it."""
+        """The problem with the noise of poses and labels, and the joints that slip, as the solver took it."""
+        problem = problem.softened(self.soft)
         labelled = problem if self.sigma_label is None else replace(problem, sigma_label=self.sigma_label)
         return labelled if self.shape is None else replace(labelled, shape=self.shape)
 

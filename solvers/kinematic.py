@@ -17,6 +17,7 @@ from solvers.likelihood.covariance import active_unknowns, covariance_of, margin
 from solvers.likelihood.elimination import Reduced, normal_equations
 from solvers.likelihood.labels import unlabelled, weighed
 from solvers.likelihood.linearise import AngleModel, linearise, retract
+from solvers.likelihood.slipping import let_go
 from solvers.problem import ANGULAR, ORBITAL, Problem
 from solvers.se3 import Array
 from solvers.start import robust
@@ -64,13 +65,13 @@ def solve(problem: Problem, options: Options = Options()) -> Estimate:
     used = np.ones(len(problem), dtype=bool)
     if options.reject_outliers:
         used = robust.inliers(problem, options.seed)
+    problem, slips = let_go(problem, _start(problem, used, bool(options.fix_non_orthogonality)), used)
     estimate = _shaped(problem, _from_coarse(problem, used, options, bool(options.fix_non_orthogonality)), options)
     sigma = _sigma_of_epsilon(estimate)
     if options.fix_non_orthogonality is None and sigma > options.max_non_orthogonality_sigma_rad:
-        shaped = replace(problem, shape=estimate.shape)
-        fixed = _from_coarse(shaped, used, options, True)
-        return replace(fixed, notes=(*fixed.notes, _fixed(sigma)))
-    return estimate
+        fixed = _from_coarse(replace(problem, shape=estimate.shape), used, options, True)
+        estimate = replace(fixed, notes=(*fixed.notes, _fixed(sigma)))
+    return replace(estimate, soft=problem.soft, notes=(*estimate.notes, *slips))
 
 
 def _shaped(problem: Problem, estimate: Estimate, options: Options) -> Estimate:
@@ -105,7 +106,7 @@ def _fixed(sigma: float) -> Note:
 
 def _from_coarse(problem: Problem, used: np.ndarray, options: Options, fix_non_orthogonality: bool) -> Estimate:
     """The fit to all poses, started from the fit to some where there are many."""
-    torus, sigma = axes_of(_some(problem, used), fix_non_orthogonality).torus(problem.select(used)), None
+    torus, sigma = _start(problem, used, fix_non_orthogonality), None
     if options.reject_outliers:
         used = used & _agrees_with_labels(problem, torus)
     some = _some(problem, used)
@@ -136,6 +137,11 @@ def _weighing_labels(
     labels = weighed(problem, at, angles, marginal_covariance(at.H, active_unknowns(blank, fix_non_orthogonality)))
     fit = refine(labels.problem, torus, options, fix_non_orthogonality, first.used, sigma)
     return replace(fit, sigma_label=labels.problem.sigma_label, notes=labels.notes)
+
+
+def _start(problem: Problem, used: np.ndarray, fix_non_orthogonality: bool) -> Torus:
+    """The closed form of some of the used poses."""
+    return axes_of(_some(problem, used), fix_non_orthogonality).torus(problem.select(used))
 
 
 def _some(problem: Problem, used: np.ndarray) -> Problem:

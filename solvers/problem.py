@@ -55,6 +55,8 @@ class Problem:
     None: 1. `kinematic` heeds it."""
     shape: NoiseShape | None = None
     """None: the noise is isotropic. `kinematic` estimates it."""
+    soft: np.ndarray | None = None
+    """(N, 2) mask of the poses at which a held joint does not stay where it is, its angle unknown; None: at none."""
     time_s: Array | None = None
     """(N,) when each pose was taken, s; None: the poses stand in the order of time."""
 
@@ -86,12 +88,18 @@ class Problem:
         return alpha, bool(known[:, ORBITAL].any())
 
     @cached_property
+    def still(self) -> np.ndarray:
+        """(N, 2) mask of the joints that stand at one angle through their sweep."""
+        held = self.held >= 0
+        return held if self.soft is None else held & ~self.soft
+
+    @cached_property
     def label_read(self) -> np.ndarray:
         """(N, 2) mask of the labels of held joints that are not exact."""
         if self.sigma_label is None:
             return np.zeros(self.held.shape, dtype=bool)
-        read = (self.held >= 0) & np.isfinite(self.label) & (self.sigma_label > 0)
-        read[:, ORBITAL] &= self.held[:, ANGULAR] < 0
+        read = self.still & np.isfinite(self.label) & (self.sigma_label > 0)
+        read[:, ORBITAL] &= ~self.still[:, ANGULAR]
         return read
 
     @property
@@ -122,6 +130,7 @@ class Problem:
             held=self.held[poses],
             label=self.label[poses],
             scale=None if self.scale is None else self.scale[:, poses],
+            soft=None if self.soft is None else self.soft[poses],
             time_s=None if self.time_s is None else self.time_s[poses],
             sigma_label=None if self.sigma_label is None else self.sigma_label[poses],
         )
@@ -136,4 +145,8 @@ class Problem:
     def without_labels(self) -> "Problem":
         """The same poses with nothing known of the joints."""
         blank = Problem.of_poses(self.p_world_sensor, self.R_world_sensor)
-        return replace(self, held=blank.held, label=blank.label, sigma_label=None)
+        return replace(self, held=blank.held, label=blank.label, sigma_label=None, soft=None)
+
+    def softened(self, soft: np.ndarray | None) -> "Problem":
+        """The same where a held joint is `soft`; what its label says there is passed over."""
+        return self if soft is None else replace(self, soft=soft, label=np.where(soft, np.nan, self.label))

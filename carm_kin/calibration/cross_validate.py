@@ -25,6 +25,7 @@ from solvers.estimate import Note
 from solvers.kinematic import fit_angles
 from solvers.likelihood.labels import unlabelled
 from solvers.likelihood.linearise import linearise
+from solvers.likelihood.slipping import let_go
 from solvers.problem import ANGULAR, ORBITAL, Problem
 from solvers.torus import Torus
 
@@ -178,7 +179,7 @@ def _predicted(recording: Recording, problem: Problem, fit: CalibrationResult, s
         label[:, ORBITAL] = np.nan
     noise = fit.noise
     known = replace(problem, label=label, sigma_t=noise.translation_m, sigma_r=noise.rotation_rad)
-    part = known.select(scored)
+    part, _ = let_go(known.select(scored), torus, np.ones(int(scored.sum()), dtype=bool))
     angles, at = fit_angles(part, torus)
     residual = linearise(torus, angles, part).residual
     return Errors(

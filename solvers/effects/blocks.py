@@ -64,7 +64,8 @@ class Blocks:
         middle = stretches.order[first + count // 2]
         B = _means(B, stretches.order, first, count) * np.sqrt(count)
         absorbed = _means(absorbed, stretches.order, first, count).sum(axis=1)
-        by_unknown = _among_all(B, problem, model, middle)[:, _kept(active, model)]
+        sweep = np.maximum.reduceat(model.sweep[stretches.order], first)
+        by_unknown = _among_all(B, problem.placement[middle], sweep, model)[:, _kept(active, model)]
         return Blocks(
             active=active,
             middle=middle,
@@ -104,14 +105,14 @@ def _means(values: Array, order: np.ndarray, first: np.ndarray, count: np.ndarra
     return np.add.reduceat(values[..., order], first, axis=-1) / count
 
 
-def _among_all(B: Array, problem: Problem, model: AngleModel, middle: np.ndarray) -> Array:
-    """(6, D + S, B) the columns of the pose's own unknowns and of its held angle, among those of all."""
-    size, sweeps = 6 * problem.placements + LOCAL - 6, len(model.sweep_placement)
-    full = np.zeros((len(B), size + sweeps, len(middle)))
-    columns, poses = columns_of(problem.placements)[problem.placement[middle]], np.arange(len(middle))
-    full[:, columns, poses[:, None]] = B[:, :LOCAL].swapaxes(1, 2)
-    held = np.flatnonzero(model.sweep[middle] >= 0)
-    full[:, size + model.sweep[middle[held]], held] = B[:, HELD, held]
+def _among_all(B: Array, placement: np.ndarray, sweep: np.ndarray, model: AngleModel) -> Array:
+    """(6, D + S, B) the columns of the blocks' own unknowns and of their held angle, if any, among those of all."""
+    placements, poses = int(placement.max()) + 1, np.arange(len(placement))
+    size, sweeps = 6 * placements + LOCAL - 6, len(model.sweep_placement)
+    full = np.zeros((len(B), size + sweeps, len(placement)))
+    full[:, columns_of(placements)[placement], poses[:, None]] = B[:, :LOCAL].swapaxes(1, 2)
+    held = np.flatnonzero(sweep >= 0)
+    full[:, size + sweep[held], held] = B[:, HELD, held]
     return full
 
 

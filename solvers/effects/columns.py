@@ -26,7 +26,7 @@ NODES = 120
 """Places of the sensor by which a function of the place is described."""
 PLAY_RAD = float(np.radians(0.5))
 """Angle within which a reversal takes up the play."""
-DRIFT_ORDERS, SLIP_ORDERS = 4, 3
+DRIFT_ORDERS = 4
 """Of Legendre's polynomials in time."""
 FASTEST_STEP_S = 0.1
 """Poses farther apart in time are stops, of which a filter shows nothing."""
@@ -158,18 +158,6 @@ def drift(scene: Scene) -> Columns | None:
     return Columns(np.concatenate(columns, axis=1), TWIST * (DRIFT_ORDERS * len(columns)))
 
 
-def slip(scene: Scene) -> Columns | None:
-    """A held joint does not stay where it is: a polynomial of time in every sweep."""
-    held, columns = scene.problem.held[scene.blocks.middle], []
-    for joint in (0, 1):
-        for sweep in np.unique(held[held[:, joint] >= 0, joint]):
-            here = np.flatnonzero(held[:, joint] == sweep)
-            turned = np.zeros((6, SLIP_ORDERS, len(held)))
-            turned[..., here] = -scene.line.by_angle[:, joint, here][:, None] * _legendre(scene.time(here), SLIP_ORDERS)
-            columns.append(turned)
-    return Columns(np.concatenate(columns, axis=1), ("angle",) * (SLIP_ORDERS * len(columns))) if columns else None
-
-
 def smoothing(scene: Scene) -> Columns | None:
     """The tracker's low pass of the time constant τ: positions lag, and cut corners by ½ τ² of their acceleration.
 
@@ -200,8 +188,7 @@ def remounting(scene: Scene) -> Columns | None:
 
 
 EFFECTS: dict[str, Effect] = {
-    effect.__name__: effect
-    for effect in (deformation, gravity, field, marker, backlash, drift, slip, smoothing, remounting)
+    effect.__name__: effect for effect in (deformation, gravity, field, marker, backlash, drift, smoothing, remounting)
 }
 """By name."""
 

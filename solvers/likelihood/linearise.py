@@ -54,9 +54,9 @@ class AngleModel:
 
     @staticmethod
     def of(problem: Problem) -> "AngleModel":
-        """A joint that is held without an exact label is unknown once a sweep; a moving one, at every pose."""
+        """A joint held without an exact label is unknown once a sweep; one that moves or slips, at every pose."""
         known = np.isfinite(problem.label) & ~problem.label_read
-        held = problem.held >= 0
+        held = problem.still.copy()
         held[:, 1] &= ~held[:, 0]
         unknown = held & ~known
         joint = np.where(unknown[:, 1], 1, 0)
@@ -64,8 +64,8 @@ class AngleModel:
         key = problem.held[np.arange(len(problem)), joint] * 2 + joint
         sweep = np.full(len(problem), -1)
         first, sweep[member] = np.unique(key[member], return_index=True, return_inverse=True)[1:]
-        moving = problem.held < 0
-        moving[:, 1] |= (problem.held >= 0).all(axis=1) & ~known[:, 1]
+        moving = ~problem.still
+        moving[:, 1] |= problem.still.all(axis=1) & ~known[:, 1]
         reading = known & moving
         label, precision = _sweep_labels(problem, sweep, joint, len(first))
         return AngleModel(

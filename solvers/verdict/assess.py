@@ -17,6 +17,7 @@ from solvers.likelihood.covariance import active_unknowns, covariance_of, scaled
 from solvers.likelihood.elimination import normal_equations
 from solvers.likelihood.linearise import AngleModel, linearise
 from solvers.likelihood.reduced import Reduced
+from solvers.likelihood.slipping import let_go
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.start.axes import ambiguous
@@ -82,7 +83,9 @@ def assess(
         found = _assess_positions(part, estimate, used, limits)
         return replace(found, refusal=_hardly_any(problem, part, limits) or found.refusal)
     torus = estimate.torus
+    slips: tuple[Note, ...] = ()
     if estimate.angles is None:
+        part, slips = let_go(part, torus, np.ones(len(part), dtype=bool))
         angles, at = kinematic.fit_angles(part, torus)
         sigma = (at.sigma[0], at.sigma[1])
     else:
@@ -142,7 +145,7 @@ def assess(
         correlation=correlation,
         singular_values=values[::-1],
         unobservable=unobservable,
-        notes=(*_rejections(used, moved_at, limits), *(causes or moved), *clean, *disagree),
+        notes=(*_rejections(used, moved_at, limits), *(causes or moved), *slips, *clean, *disagree),
         refusal=_with_causes(refusal, causes, used, limits),
         systematic=found,
         left_out=left_out(found) if found else None,

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from solvers.likelihood.correlation import Stretches, correlation_of, correlation_time
+from solvers.likelihood.f_test import f_tail
 from solvers.likelihood.linearise import LOCAL, AngleModel, Linearisation
 from solvers.likelihood.reduced import RESIDUAL, OwnAngles, row_scale, shape_roots, shaped, weighted
 from solvers.problem import Problem
 from solvers.se3 import Array, rot_y
-from solvers.verdict.f_test import f_tail
 
 LEAST_POSES = 6
 """A change is looked for no nearer to the ends of a placement."""

@@ -5,11 +5,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from solvers.likelihood.f_test import f_tail
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
 from solvers.verdict.change import FREEDOM, SENSOR, UNSEEN
-from solvers.verdict.f_test import f_tail
 from solvers.verdict.residuals import neighbour_correlation
 
 ROUNDING = 1e-9

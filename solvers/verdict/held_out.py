@@ -17,9 +17,9 @@ import numpy as np
 from solvers.effects.systematic import Systematic
 from solvers.estimate import Covariance, Note
 from solvers.likelihood.covariance import reported_jacobian
+from solvers.likelihood.f_test import f_tail
 from solvers.problem import Problem
 from solvers.se3 import Array
-from solvers.verdict.f_test import f_tail
 
 BLOCKS = 8
 """Parts into which the poses of a placement are cut where there are no sweeps."""

@@ -3,9 +3,9 @@
 import numpy as np
 
 from solvers.estimate import Correlation, Note
+from solvers.likelihood.f_test import f_tail
 from solvers.problem import Problem
 from solvers.se3 import Array, rot_y
-from solvers.verdict.f_test import f_tail
 
 ORDERS = (1, 2, 3)
 """Harmonics of an angle that a flex is made of."""

@@ -115,7 +115,7 @@ def test_the_command_writes_it_and_reads_it_back(sweeps, tmp_path, capsys):
 
 
 def test_labels_that_are_off_spoil_no_prediction(sweeps):
-    """The labels of the held-out sweeps, off by far more than their digits tell, count as the readings that they are."""
+    """The labels of the held-out sweeps, off by far more than their digits tell, count as readings."""
     off = np.radians(np.random.default_rng(5).uniform(-0.5, 0.5, len(sweeps.sweeps)))[sweeps.sweep_number]
     found = cross_validate(replace(sweeps, joints={joint: angle + off for joint, angle in sweeps.joints.items()}), 4)
     assert found.overall.chi2_per_dof == pytest.approx(1, abs=0.15)

@@ -32,12 +32,15 @@ def stream(
     sag_mm: float = 0.0,
     seconds: float = 8.0,
     ar_rotation: float | None = None,
+    slip_deg: float = 0.0,
 ) -> Problem:
     """The stream of `truth_of` (seed): noise AR(1) with the coefficient ``ar`` a frame, the base bumped once in
     mid-recording by ``bump_mm``, both joints with play that shifts the sensor by ``backlash_mm`` between its ends and
-    turns it by 0.1 deg a mm, the C sagging by ``sag_mm``."""
+    turns it by 0.1 deg a mm, the C sagging by ``sag_mm``, the held joint of every sweep turning by ``slip_deg``."""
     rng = np.random.default_rng([seed, 42])
     angles, held, time_s = _motion(rng, seconds)
+    within = np.arange(len(angles)) % int(seconds * RATE_HZ) / (seconds * RATE_HZ)
+    angles[held >= 0] += np.radians(slip_deg) * within**2
     p, R = truth_of(seed).poses(angles)
     shift, turn = (f(rng, angles) for f in (_play(backlash_mm), _sag(sag_mm)))
     p = p + np.einsum("nij,nj->ni", R, shift[:, :3] + turn[:, :3])

@@ -124,17 +124,6 @@ def test_drift_moves_the_base(scene, placement, order, axis):
     compared(scene, "drift", 24 * placement + 6 * (order - 1) + axis, T_world_torus @ exp_se3(step) @ rest)
 
 
-def test_slip_turns_the_held_joint(scene):
-    sweep = scene.problem.held[0]
-    joint = int(np.argmax(sweep))
-    here = np.flatnonzero(scene.problem.held[:, joint] == sweep[joint])
-    angles = scene.angles.copy()
-    angles[joint, here] += 1e-5 * legendre(TIME_S[here], 2)
-    column = 3 * sorted({*scene.problem.held[scene.problem.held[:, joint] >= 0, joint]}).index(sweep[joint]) + 1
-    assert joint == 0
-    compared(scene, "slip", column, scene.torus.poses(angles.T, scene.problem.placement))
-
-
 @pytest.mark.parametrize("placement, axis", [(0, 1), (1, 3), (1, 4)])
 def test_remounting_moves_the_sensor(scene, placement, axis):
     step = np.zeros((N, 6))

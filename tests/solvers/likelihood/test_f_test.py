@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import fdtrc
 
-from solvers.verdict.f_test import f_tail
+from solvers.likelihood.f_test import f_tail
 
 
 @pytest.mark.parametrize("denominator", [1, 2, 7, 60, 1000, 40_000, 4_000_000])
