@@ -43,7 +43,7 @@ def allowing_for(estimate: Estimate, problem: Problem, found: Systematic) -> Est
 def _widened(estimate: Estimate, torus: Torus, stated: Covariance, found: Systematic) -> Estimate:
     """The same estimate with Cov + B Λ Bᵀ, B = C Jᵀ Z and C = inv(Jᵀ J) of noise that does not last."""
     J, u = _reported(torus, found), found.model.unknowns
-    moments = found.setting.rows.model.moments.sum(axis=0)
+    moments = found.rows.model.moments.sum(axis=0)
     C = marginal_covariance(moments[:u, :u] + found.model.fixed[:u, :u], np.ones(u, dtype=bool))
     shares = found.shares(J @ C[: J.shape[1]] @ moments[:u, u:-1])
     white = J @ C[: J.shape[1], : J.shape[1]] @ J.T
@@ -91,4 +91,4 @@ def _with_parts(estimate: Estimate, found: Systematic, covariance: Covariance, p
 
 def _reported(torus: Torus, found: Systematic) -> Array:
     """(K, a) derivative of the reported quantities by the active unknowns."""
-    return reported_jacobian(torus)[0][:, found.setting.scene.blocks.active]
+    return reported_jacobian(torus)[0][:, found.scene.blocks.active]

@@ -26,7 +26,7 @@ def deformed(found: Systematic, torus: Torus) -> Deformed | None:
     names = [name for name in OF_DEFORMATION if name in found.names]
     if not names:
         return None
-    scene = found.setting.scene
+    scene = found.scene
     low, high = scene.range
     angles = grid(low - BEYOND_RAD, high + BEYOND_RAD, NODES)
     every = np.zeros((len(angles), 6, len(found.model.group)))

@@ -15,13 +15,13 @@ SIGNIFICANT = 2.5
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows F = [U Z y] of two kinds, with noise of which neighbours have the correlation ρ (Prais and Winsten 1954).
+    """Rows F = [U Z y] of k kinds, with noise of which neighbours have the correlation ρ (Prais and Winsten 1954).
 
     The rows (F_t - ρ F_t-1) / √(1 - ρ²), and of a stretch's first block F_1, have independent noise.
     """
 
     F: Array
-    """(w, 6, B), three rows of either kind in each of B blocks."""
+    """(w, 3 k, B), three rows of each kind in each of B blocks."""
     follows: np.ndarray
     """(B,) whether a block has the one before as its neighbour."""
     model: Mixed
@@ -29,20 +29,20 @@ class Rows:
 
     @staticmethod
     def of(F: Array, stretch: np.ndarray, model: Mixed) -> "Rows":
-        """From the rows (6, w, B) of blocks in contiguous stretches (B,), and a model that lacks their moments."""
+        """From the rows (3 k, w, B) of blocks in contiguous stretches (B,), and a model that lacks their moments."""
         F = np.ascontiguousarray(F.swapaxes(0, 1))
         follows = np.append(False, np.diff(stretch) == 0)
         return Rows(F, follows, replace(model, moments=_moments(F)))
 
     def independent(self, rho: Array) -> Array:
-        """(w, 6, B) the rows of independent noise where neighbours of each kind are correlated by ``rho`` (2,)."""
+        """(w, 3 k, B) the rows of independent noise where neighbours of each kind are correlated by ``rho`` (k,)."""
         if not rho.any():
             return self.F
         r = np.where(self.follows, np.repeat(rho, 3)[:, None], 0.0)
         return (self.F - r * np.roll(self.F, 1, axis=-1)) / np.sqrt(1 - r**2)
 
     def whitened(self, rho: Array, at: Mixed) -> Mixed:
-        """The model with the variances of ``at`` where neighbours of each kind are correlated by ``rho`` (2,)."""
+        """The model with the variances of ``at`` where neighbours of each kind are correlated by ``rho`` (k,)."""
         if not rho.any():
             return self.model.at(at.variance, at.noise)
         constant = -0.5 * float((self.followers * np.log(1 - rho**2)).sum())
@@ -50,8 +50,8 @@ class Rows:
         return replace(self.model, moments=moments, constant=constant, variance=at.variance, noise=at.noise)
 
     def correlation(self, fit: Mixed) -> Array:
-        """(2,) of neighbours in what ``fit`` leaves of both kinds; 0 where it is not significant."""
-        left = np.einsum("wrb,w->rb", self.F, fit.residual).reshape(2, 3, -1)
+        """(k,) of neighbours in what ``fit`` leaves of each kind; 0 where it is not significant."""
+        left = np.einsum("wrb,w->rb", self.F, fit.residual).reshape(len(fit.noise), 3, -1)
         squares = np.maximum((left**2).sum(axis=(1, 2)), np.finfo(float).tiny)
         rho = (left[..., 1:] * left[..., :-1])[..., self.follows[1:]].sum(axis=(1, 2)) / squares
         rho = rho * self.model.rows / np.maximum(self.followers, 1.0)
@@ -60,11 +60,11 @@ class Rows:
 
     @property
     def followers(self) -> Array:
-        """(2,) number of rows that follow another."""
+        """(k,) number of rows that follow another."""
         return self.follows.mean() * self.model.rows
 
 
 def _moments(F: Array) -> Array:
-    """(2, w, w) sums over rows and blocks of the products of the columns (w, 6, B)."""
-    kinds = (np.ascontiguousarray(F[:, rows]).reshape(len(F), -1) for rows in (slice(0, 3), slice(3, 6)))
-    return np.array([kind @ kind.T for kind in kinds])
+    """(k, w, w) sums over rows and blocks of the products of the columns (w, 3 k, B)."""
+    kinds = np.split(F, F.shape[1] // 3, axis=1)
+    return np.array([rows @ rows.T for rows in (np.ascontiguousarray(kind).reshape(len(F), -1) for kind in kinds)])

@@ -78,7 +78,7 @@ class LeftOut:
 
 def left_out(found: Systematic) -> LeftOut | None:
     """Leave every part out beside the effects ``found``. None where there are too few parts, or no noise."""
-    scene = found.setting.scene
+    scene = found.scene
     if max(scene.sigma) < EXACT:
         return None
     some = scene.problem.select(scene.blocks.middle)
@@ -108,10 +108,10 @@ def _blocks(problem: Problem, poses: np.ndarray) -> list[np.ndarray]:
 
 def _moves(found: Systematic, parts: list[np.ndarray]) -> LeftOut:
     """The moves without each of the ``parts``, but for one that the rest cannot do without."""
-    J, names = reported_jacobian(found.setting.scene.torus)
+    J, names = reported_jacobian(found.scene.torus)
     offset = [names.index(f"offset_sensor_pivot_{axis}") for axis in "xyz"]
     equations = found.parted(parts)
-    J = J[:, found.setting.scene.blocks.active]
+    J = J[:, found.scene.blocks.active]
     J = np.hstack([J, np.zeros((len(J), equations.whole.shape[1] - J.shape[1]))]) * equations.scale
     C = _inverse(equations.whole)
     whole = _block(J @ C @ J.T, offset)

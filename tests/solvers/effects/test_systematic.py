@@ -89,7 +89,7 @@ def test_the_gain_is_unbiased_and_its_covariance_that_of_the_model():
     """The covariance of the estimate is the sum of its parts, whatever route leads there."""
     _, take = taken("flex 1 mm", 2)
     _, found, beside = found_in(take)
-    active = found.setting.scene.blocks.active
+    active = found.scene.blocks.active
     from solvers.likelihood.covariance import reported_jacobian
 
     J = reported_jacobian(beside.torus)[0][:, active]
