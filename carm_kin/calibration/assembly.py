@@ -183,11 +183,12 @@ def sigma_of(covariance: Covariance | None, placements: int) -> Sigma:
 
 
 def _sigma_parts(estimate: Estimate) -> tuple[SigmaPart, ...]:
-    offset = [f"offset_sensor_pivot_{axis}" for axis in "xyz"]
-    return tuple(
-        SigmaPart(part.name, part.covariance.sigma(*offset), float(part.covariance.sigma("major_radius")[0]))
-        for part in estimate.sigma_parts
-    )
+    offset, parts = [f"offset_sensor_pivot_{axis}" for axis in "xyz"], []
+    for part in estimate.sigma_parts:
+        known = part.covariance
+        radius = float(known.sigma("major_radius")[0]) if "major_radius" in known.names else 0.0
+        parts.append(SigmaPart(part.name, known.sigma(*offset), radius))
+    return tuple(parts)
 
 
 def _deformation(found: Deformed) -> Deformation:

@@ -153,8 +153,8 @@ class Settings:
         if self.known_length is not None:
             self._check_known_length(named("known_length"), name)
         effects_of(self.systematic)
-        if self.systematic != AUTO and (name == CHAIN or self.locus != CIRCLE):
-            raise InputError(f"{named('systematic')}: only a C-arm of two axes has systematic effects")
+        if self.systematic != AUTO and name == CHAIN:
+            raise InputError(f"{named('systematic')}: a chain has no systematic effects")
         options_of(options_class(name), name, self.options)
         if self.urdf is not None:
             from carm_kin.machine.urdf import read_urdf

@@ -81,6 +81,7 @@ class SigmaPart:
     offset_sensor_pivot_m: Array
     """(3,)."""
     major_radius_m: float
+    """0 of a fixed point."""
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from solvers.effects.deformed import deformed
+from solvers.effects.of_point import PointSystematic
 from solvers.effects.systematic import Systematic
 from solvers.estimate import Covariance, EffectFound, Estimate, SigmaPart
 from solvers.likelihood.covariance import marginal_covariance, reported_jacobian
@@ -22,12 +23,14 @@ KEPT = ("sigma_t", "sigma_r", "sigma_label", "shape", "used", "iterations", "con
 """What of an estimate the effects do not change."""
 
 
-def allowing_for(estimate: Estimate, problem: Problem, found: Systematic) -> Estimate:
+def allowing_for(estimate: Estimate, problem: Problem, found: Systematic | PointSystematic) -> Estimate:
     """The estimate of ``problem`` with the effects ``found`` beside it.
 
     That of `kinematic` moves to where noise and effects together are most likely, if the data ask for effects and the
     way is within what they explain; another one stays, with a covariance that heeds them.
     """
+    if isinstance(found, PointSystematic):
+        return found.allowed(estimate)
     stated = estimate.covariance
     if estimate.torus is None or stated is None:
         return estimate

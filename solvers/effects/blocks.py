@@ -59,11 +59,11 @@ class Blocks:
         B = np.concatenate([angle.left_of(B, A), angle.readings(model.precision, error)])
 
         stretches = Stretches.of(problem)
-        first = _first(stretches)
+        first = starts(stretches)
         count = np.diff(np.append(first, len(problem)))
         middle = stretches.order[first + count // 2]
-        B = _means(B, stretches.order, first, count) * np.sqrt(count)
-        absorbed = _means(absorbed, stretches.order, first, count).sum(axis=1)
+        B = means(B, stretches.order, first, count) * np.sqrt(count)
+        absorbed = means(absorbed, stretches.order, first, count).sum(axis=1)
         sweep = np.maximum.reduceat(model.sweep[stretches.order], first)
         by_unknown = _among_all(B, problem.placement[middle], sweep, model)[:, _kept(active, model)]
         return Blocks(
@@ -88,11 +88,11 @@ class Blocks:
 
     def mean(self, values: Array) -> Array:
         """(..., B) means over the blocks of the values (..., N) of all poses."""
-        return _means(values, self.order, self.first, np.diff(np.append(self.first, len(self.order))))
+        return means(values, self.order, self.first, np.diff(np.append(self.first, len(self.order))))
 
 
-def _first(stretches: Stretches) -> np.ndarray:
-    """Where each block begins among the ordered poses."""
+def starts(stretches: Stretches) -> np.ndarray:
+    """Where each of about `MOST_BLOCKS` blocks begins among the ordered poses."""
     n = len(stretches.order)
     size = -(-n // MOST_BLOCKS)
     begins = np.concatenate([[True], np.diff(stretches.number) > 0])
@@ -101,7 +101,8 @@ def _first(stretches: Stretches) -> np.ndarray:
     return np.flatnonzero(within % size == 0)
 
 
-def _means(values: Array, order: np.ndarray, first: np.ndarray, count: np.ndarray) -> Array:
+def means(values: Array, order: np.ndarray, first: np.ndarray, count: np.ndarray) -> Array:
+    """(..., B) of the values (..., N) of poses in this ``order``, over blocks of so many that begin at ``first``."""
     return np.add.reduceat(values[..., order], first, axis=-1) / count
 
 

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from solvers.effects.blocks import Blocks
-from solvers.effects.process import Process, grid
+from solvers.effects.process import DRIFT_ORDERS, Process, grid, legendre
 from solvers.likelihood.linearise import Linearisation, linearise
 from solvers.problem import Problem
 from solvers.se3 import Array
@@ -26,8 +26,6 @@ NODES = 120
 """Places of the sensor by which a function of the place is described."""
 PLAY_RAD = float(np.radians(0.5))
 """Angle within which a reversal takes up the play."""
-DRIFT_ORDERS = 4
-"""Of Legendre's polynomials in time."""
 FASTEST_STEP_S = 0.1
 """Poses farther apart in time are stops, of which a filter shows nothing."""
 SLOPE_S = 0.5
@@ -96,12 +94,10 @@ class Scene:
         some = np.linspace(0, len(p) - 1, min(len(p), NODES)).astype(int)
         return Process.over(p[some], self.field_length).basis(p)
 
-    def time(self, here: np.ndarray) -> Array:
-        """Time of some of the blocks, from -1 to 1."""
+    def clock(self, here: np.ndarray) -> Array:
+        """Time of some of the blocks, or their number."""
         clock = self.problem.time_s
-        t = np.arange(len(here), dtype=float) if clock is None else clock[self.blocks.middle[here]]
-        span = float(np.ptp(t))
-        return 2 * (t - t.min()) / span - 1 if span > 0 else np.zeros(len(t))
+        return np.arange(len(here), dtype=float) if clock is None else clock[self.blocks.middle[here]]
 
 
 Effect = Callable[[Scene], Columns | None]
@@ -151,7 +147,7 @@ def drift(scene: Scene) -> Columns | None:
     columns = []
     for placement in range(scene.problem.placements):
         here = np.flatnonzero(scene.placement == placement)
-        waves = _legendre(scene.time(here), DRIFT_ORDERS)
+        waves = legendre(scene.clock(here), DRIFT_ORDERS)
         moved = np.zeros((6, DRIFT_ORDERS, 6, len(scene.placement)))
         moved[..., here] = -scene.line.by_local[:, None, :6, here] * waves[:, None]
         columns.append(moved.reshape(6, -1, len(scene.placement)))
@@ -221,12 +217,6 @@ def of_twist(basis: Array) -> Columns:
     for axis in range(6):
         moved[axis, :, axis] = basis
     return Columns(moved.reshape(6, -1, n), TWIST * K)
-
-
-def _legendre(time: Array, orders: int) -> Array:
-    """(orders, n) from the first order on, with the variance 1 / k²."""
-    k = np.arange(1, orders + 1)
-    return (np.polynomial.legendre.legvander(time, orders)[:, 1:] / k).T
 
 
 def _play(way: Array) -> Array:

@@ -1,4 +1,5 @@
-"""Smooth random functions of an angle or a place, by the leading eigenfunctions of their covariance."""
+"""Smooth random functions: of an angle or a place by the leading eigenfunctions of their covariance, of time by
+polynomials."""
 
 from dataclasses import dataclass
 
@@ -8,6 +9,8 @@ from solvers.se3 import Array
 
 LEAST_VARIANCE = 1e-3
 """Share of the greatest eigenvalue below which an eigenfunction is left out."""
+DRIFT_ORDERS = 4
+"""Of the polynomials in time of what creeps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,3 +58,10 @@ def grid(low: Array, high: Array, steps: int) -> Array:
     """(steps ** d, d) points that fill the box from ``low`` (d,) to ``high`` (d,) evenly."""
     axes = np.linspace(low, high, steps).T
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
+
+
+def legendre(clock: Array, orders: int) -> Array:
+    """(orders, n) Legendre's polynomials over the span of the times (n,), from order k = 1 on, over k."""
+    span, k = float(np.ptp(clock)), np.arange(1, orders + 1)
+    time = 2 * (clock - clock.min()) / span - 1 if span > 0 else np.zeros(len(clock))
+    return (np.polynomial.legendre.legvander(time, orders)[:, 1:] / k).T

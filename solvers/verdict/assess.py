@@ -10,6 +10,7 @@ import numpy as np
 
 from solvers import kinematic
 from solvers.effects.columns import EFFECTS
+from solvers.effects.of_point import PointSystematic, point_systematic
 from solvers.effects.systematic import Systematic, systematic
 from solvers.estimate import Correlation, Covariance, Estimate, Note
 from solvers.likelihood.correlation import Stretches, correlation_of
@@ -62,7 +63,7 @@ class Assessment:
     notes: tuple[Note, ...]
     """What the residuals and the rejected poses show."""
     refusal: Note | None
-    systematic: Systematic | None = None
+    systematic: Systematic | PointSystematic | None = None
     """The effects beside the noise; None where it is refused or has no covariance."""
     left_out: LeftOut | None = None
     """How the parts of the recording agree beside them; None where there are too few parts."""
@@ -78,7 +79,7 @@ def assess(
     weighed = estimate.weighed(problem)
     part = weighed if used.all() else weighed.select(used)
     if estimate.told is not None:
-        return _assess_point(problem, part, estimate, used, limits)
+        return _assess_point(problem, part, estimate, used, limits, effects)
     if estimate.torus is None or len(part) < limits.min_poses:
         found = _assess_positions(part, estimate, used, limits)
         return replace(found, refusal=_hardly_any(problem, part, limits) or found.refusal)
@@ -222,7 +223,9 @@ def _assess_positions(part: Problem, estimate: Estimate, used: np.ndarray, limit
     )
 
 
-def _assess_point(problem: Problem, part: Problem, estimate: Estimate, used: np.ndarray, limits: Limits) -> Assessment:
+def _assess_point(
+    problem: Problem, part: Problem, estimate: Estimate, used: np.ndarray, limits: Limits, effects: tuple[str, ...]
+) -> Assessment:
     """The verdict on a fixed point."""
     residual = estimate.residual if estimate.residual is not None else np.full((len(part), 3), np.nan)
     refusal = of_point.refusal_of(part, estimate, limits)
@@ -232,6 +235,10 @@ def _assess_point(problem: Problem, part: Problem, estimate: Estimate, used: np.
     if causes:
         likely = "; or ".join(note.message for note in causes)
         refusal = Note("misfit", f"no fixed point explains these poses as they stand. Likely cause: {likely}")
+    found = None
+    if refusal is None and estimate.told is not None:
+        told = estimate.told
+        found = point_systematic(part, told.directions, told.directions.T @ told.offset, residual, effects)
     return Assessment(
         angles=None,
         position_residual=_spread(residual, used),
@@ -248,6 +255,7 @@ def _assess_point(problem: Problem, part: Problem, estimate: Estimate, used: np.
             *(() if refusal else of_point.residual_notes(part, estimate)),
         ),
         refusal=refusal,
+        systematic=found,
     )
 
 
