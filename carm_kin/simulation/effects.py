@@ -59,7 +59,7 @@ class Effects:
             raise InputError(f"rate_hz must be from {low:g} to {high:g} frames a second, not {self.rate_hz}")
         if str(protocol) == VIRTUAL and (own := [name for name in OF_JOINTS if getattr(self, name)]):
             problem = f"{' and '.join(own)} cannot be simulated with protocol '{VIRTUAL}'"
-            raise InputError(f"{problem}: they are of a C-arm's own two joints, and its axes are none")
+            raise InputError(f"{problem}: a C-arm's own two joints sag and have play, and its axes are no joints")
         return self
 
     def times(self, plan: Plan) -> Array | None:

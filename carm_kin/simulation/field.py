@@ -10,6 +10,8 @@ from solvers.se3 import Array, exp_so3
 WAVES = 24
 SHORTEST_M, LONGEST_M = 1.0, 2.0
 """Lengths of the waves."""
+LEAST_WAY_M = 1e-6
+"""A sensor that moves less stands still."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +50,11 @@ def distorted(T: Array, rms_m: float, rng: np.random.Generator) -> Array:
     over the poses. Raises InputError where all positions are the same.
     """
     field, p = Field.random(rng), T[:, :3, 3]
+    if np.ptp(p, axis=0).max() < LEAST_WAY_M:
+        raise InputError("field_m: the sensor does not move, so that no distortion shows")
     shift = field.shift(p)
     varying = shift - shift.mean(axis=0)
     size = float(np.sqrt((varying**2).sum(axis=1).mean()))
-    if size == 0:
-        raise InputError("field_m: the sensor does not move, so that no distortion shows")
     seen = T.copy()
     seen[:, :3, 3] += rms_m / size * varying
     seen[:, :3, :3] = exp_so3(rms_m / size * field.turn(p)) @ T[:, :3, :3]
