@@ -17,9 +17,9 @@ def register(app: typer.Typer) -> None:
     """Add the commands to the program."""
     app.command(epilog="Example: carm-kin demo --out my-first-calibration --report report.html")(demo)
     app.command(epilog="Example: carm-kin inspect mobile_nonisocentric")(inspect)
-    app.command(
-        epilog="Example: carm-kin simulate mobile_nonisocentric -o rec.csv --sigma-t-mm 0.2 --sigma-r-deg 0.1 --sag-mm 2"
-    )(simulate)
+    app.command(epilog="Example: carm-kin simulate mobile_3d -o rec.csv --sigma-t-mm 0.2 --sigma-r-deg 0.1 --sag-mm 2")(
+        simulate
+    )
 
 
 @grouped("pages", report_options)

@@ -9,6 +9,7 @@ import carm_kin
 from carm_kin.errors import InputError
 from carm_kin.machine.chain import chain_of, nominal_geometry
 from carm_kin.machine.urdf import read_urdf
+from carm_kin.simulation.sag import sag_of
 from carm_kin.simulation.simulate import simulate
 from solvers.se3 import exp_so3, inverse, log_so3, transform
 
@@ -123,3 +124,15 @@ def test_the_isocentre_of_the_truth_wanders(tmp_path):
     truth.to_json(tmp_path / "rec.truth.json")
     balls = carm_kin.isocentre(tmp_path / "rec.truth.json").balls
     assert 0.1 * PEAK_M < balls[-1].diameter_m < 2 * PEAK_M
+
+
+def test_the_detector_hangs_down():
+    """Whichever way up the C is, its weight moves the sensor's foot downwards, in the mean over all ways."""
+    chain = chain_of(read_urdf(MACHINE))
+    angles = np.radians([[-180.0, -75.0], [180.0, 75.0]])
+    sag = sag_of(chain, [nominal_geometry(chain)], np.eye(4), angles, PEAK_M)
+    up, across = np.vstack([np.eye(3), -np.eye(3)]), sag.sensor * (0.0, 1.0, 0.0)
+    for beta in np.radians([-75.0, 0.0, 75.0]):
+        shift, turn = np.split(sag.twist(up, np.full(6, beta)) + sag.mean, 2, axis=1)
+        foot = shift - np.cross(turn, across)
+        assert (foot * up).sum(axis=1).mean() < -1e-3 * PEAK_M
