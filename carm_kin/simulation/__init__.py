@@ -1,1 +1,1 @@
-"""Simulated recordings with their truth: what moves (`protocols`), how it is disturbed (`noise`), what is true."""
+"""Simulated recordings with their truth: what moves (`protocols`), what it does besides (`effects`), noise, truth."""

@@ -26,6 +26,11 @@ class Plan:
     notes: tuple[Note, ...]
 
     @cached_property
+    def part(self) -> np.ndarray:
+        """(N,) the number of each pose's motion."""
+        return np.repeat(np.arange(len(self.motions)), [len(motion.q) for motion in self.motions])
+
+    @cached_property
     def q(self) -> Array:
         """(N, J), rad or m."""
         return np.concatenate([motion.q for motion in self.motions])

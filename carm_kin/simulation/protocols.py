@@ -86,10 +86,10 @@ def _minimal(chain: Chain, rng: np.random.Generator) -> list[Motion]:
 
 def _clinical(chain: Chain, rng: np.random.Generator) -> list[Motion]:
     """Five orbital and three angular sweeps within the joint limits, a pose every degree."""
-    low, high = np.degrees(_range(chain, chain.angular))
+    low, high = np.degrees(joint_range(chain, chain.angular))
     if low < 90 and high > -90:
         low, high = max(low, -90.0), min(high, 90.0)
-    start, stop = np.degrees(_range(chain, chain.orbital))
+    start, stop = np.degrees(joint_range(chain, chain.orbital))
     return _grid(
         chain, np.linspace(low, high, 5), _degrees(start, stop), np.linspace(start, stop, 5)[1:4], _degrees(low, high)
     )
@@ -115,7 +115,7 @@ NAMED: dict[str, Callable[[Chain, np.random.Generator], list[Motion]]] = {
 }
 
 
-def _range(chain: Chain, joint: int) -> Array:
+def joint_range(chain: Chain, joint: int) -> Array:
     """The joint's limits (2,), rad or m; where they are wider than `WIDEST`, the part nearest to zero."""
     low, high = chain.lower[joint], chain.upper[joint]
     half = WIDEST[chain.types[joint]] / 2
@@ -129,7 +129,7 @@ def _wandering(chain: Chain, joints: Iterable[int], rng: np.random.Generator) ->
     time = np.linspace(0, 2 * np.pi, FREE_POSES)
     q = np.zeros((FREE_POSES, len(chain.names)))
     for joint in joints:
-        low, high = _range(chain, joint)
+        low, high = joint_range(chain, joint)
         waves = [np.sin(k * time + rng.uniform(0, 2 * np.pi)) * rng.normal() / k for k in (1, 2, 3, 5, 8)]
         wave = np.sum(waves, axis=0)
         q[:, joint] = low + (high - low) * (wave - wave.min()) / np.ptp(wave)

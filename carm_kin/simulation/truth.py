@@ -1,10 +1,14 @@
 """The truth of a simulated recording, under the keys of a result."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from carm_kin.errors import InputError
 from carm_kin.machine.chain import Chain, nominal_geometry
+from carm_kin.results.deformation import Deformation
 from carm_kin.results.parts import NoiseLevel, Observability, Outliers, Placement, Residuals, Sigma
 from carm_kin.results.provenance import provenance_of
 from carm_kin.results.result import CalibrationResult
@@ -18,14 +22,20 @@ def truth_of(
     plan: Plan,
     T_world_base: Array,
     mount: Array,
-    noise: Noise,
     *,
+    options: Mapping[str, Any],
+    noise: Noise,
+    deformation: Deformation | None,
     outliers: np.ndarray,
     poses: int,
     notes: tuple[Note, ...],
     seed: int,
 ) -> CalibrationResult:
-    """The truth of a simulation in the two-axis form, as a result of the solver ``truth``."""
+    """The truth of a simulation in the two-axis form, as a result of the solver ``truth``.
+
+    ``options`` are the protocol and all that disturbs it, by the keywords of `carm_kin.simulate`. The rigid numbers are
+    those that are true in the mean over the ``deformation``.
+    """
     geometry = plan.geometries[0]
     T_sensor_carm = inverse(mount) @ geometry.T_sensor_carm
     tori = [T_world_base @ g.T_base_torus for g in plan.geometries]
@@ -34,13 +44,7 @@ def truth_of(
     return CalibrationResult(
         status="ok",
         solver="truth",
-        options={
-            "depth_ratio": noise.depth_ratio,
-            "outliers": noise.outliers,
-            "missing": noise.missing,
-            "sigma_reading_rad": noise.sigma_reading_rad,
-            "sigma_reading_m": noise.sigma_reading_m,
-        },
+        options=options,
         offset_sensor_pivot_m=offset,
         major_radius_m=abs(geometry.major_radius),
         major_radius_signed_m=geometry.major_radius,
@@ -63,6 +67,7 @@ def truth_of(
         observability=Observability(np.zeros(0), None, ()),
         warnings=(*notes, *plan.notes),
         refusal=None,
+        deformation=deformation,
         provenance=provenance_of(None, None, seed),
     )
 

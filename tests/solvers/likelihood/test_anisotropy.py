@@ -108,7 +108,7 @@ def test_given_noise_is_taken_as_it_is():
 
 
 def test_a_result_tells_the_axes(tmp_path):
-    recording, _ = carm_kin.simulate("mobile_nonisocentric", sigma_t_m=2e-4, sigma_r_rad=1e-3, depth_ratio=4.0, seed=2)
+    recording, _ = carm_kin.simulate("mobile_nonisocentric", sigma_t_m=2e-4, sigma_r_rad=1e-3, anisotropy=4.0, seed=2)
     result = carm_kin.calibrate(recording)
     axes = result.noise.axes
     assert axes.translation_m[2] / axes.translation_m[0] == pytest.approx(4, rel=0.3)
@@ -123,7 +123,7 @@ def test_a_result_tells_the_axes(tmp_path):
 def test_simulated_noise_has_the_ratio():
     clean, _ = carm_kin.simulate("mobile_nonisocentric", "paper", seed=1)
     noisy, _ = carm_kin.simulate(
-        "mobile_nonisocentric", "paper", sigma_t_m=1e-3, sigma_r_rad=1e-3, depth_ratio=3.0, seed=1
+        "mobile_nonisocentric", "paper", sigma_t_m=1e-3, sigma_r_rad=1e-3, anisotropy=3.0, seed=1
     )
     off = (noisy.p_world_sensor - clean.p_world_sensor).std(axis=0)
     assert off[2] / off[:2] == pytest.approx([3, 3], rel=0.05)
