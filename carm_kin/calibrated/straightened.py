@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from carm_kin.calibrated.margin import SIGMAS
 from carm_kin.recording.recording import Recording
 from carm_kin.results.deformation import Deformation
 from carm_kin.results.result import CalibrationResult
@@ -24,7 +25,7 @@ class Straightened:
     covariance: Covariance | None
     """Of the saved calibration, its offset as uncertain as at these poses."""
     bending_m: float = 0.0
-    """By how much the deformation may be wrong at them, one standard deviation."""
+    """One standard deviation of what less is known of the deformation at them than within the calibrated angles."""
     extrapolated: int = 0
     """Used poses outside of the angles over which the deformation was calibrated."""
     notes: tuple[Note, ...] = ()
@@ -43,10 +44,13 @@ def straightened(
     if angles is None:
         return _bent_somehow(result.covariance, bent, recording)
     T = bent.unbent(recording.T_world_sensor, saved.T_sensor_carm, *angles.T)
+    here = (bent.sigma_m(*angles[used].T) ** 2).mean(axis=0)
+    rigid = 0.0 if result.covariance is None else np.diagonal(result.covariance.block("offset_sensor_pivot"))
     outside = int(bent.extrapolated(*angles[used].T).sum())
     return Straightened(
         replace(recording, p_world_sensor=T[:, :3, 3], R_world_sensor=T[:, :3, :3]),
-        *_widened(result.covariance, bent.extra_variance(result.covariance, *angles[used].T)),
+        _widened(result.covariance, np.maximum(here - rigid, 0.0)),
+        float(np.sqrt(np.maximum(here - bent.variance_within, 0.0).sum())),
         outside,
         _outside(outside, int(used.sum()), bent) if outside else (),
     )
@@ -85,28 +89,25 @@ def _half_turn() -> Array:
 
 
 def _bent_somehow(covariance: Covariance | None, bent: Deformation, recording: Recording) -> Straightened:
-    """Where the angles are not known the deformation is allowed for, all of it."""
+    """Where the angles are not known, the size of the deformation, rms, counts as `SIGMAS` standard deviations."""
     note = Note(
         "deformation_not_applied",
         "nothing tells at which of the calibrated angles these poses were taken, so that the deformation of the C, by "
         f"which the rotation centre walks {bent.walk_m * 1e3:.2g} mm, is not applied but allowed for in the ±: label "
         "the angular joint in both recordings, or leave base and tracker where they were",
     )
-    square = np.mean(
-        [node.shift_sensor_pivot_m**2 + node.sigma_offset_sensor_pivot_m**2 for node in bent.nodes], axis=0
-    )
-    return Straightened(recording, *_widened(covariance, square), notes=(note,))
+    square = np.mean([node.shift_sensor_pivot_m**2 for node in bent.nodes], axis=0) / SIGMAS**2
+    return Straightened(recording, _widened(covariance, square), float(np.sqrt(square.sum())), notes=(note,))
 
 
-def _widened(covariance: Covariance | None, variance: Array) -> tuple[Covariance | None, float]:
-    """With so much more variance (3,) of the offset, m², and the root of its sum."""
-    bending_m = float(np.sqrt(variance.sum()))
+def _widened(covariance: Covariance | None, variance: Array) -> Covariance | None:
+    """With so much more variance (3,) of the offset, m²."""
     if covariance is None:
-        return None, bending_m
+        return None
     rows = [covariance.names.index(f"offset_sensor_pivot_{axis}") for axis in "xyz"]
     matrix = covariance.matrix.copy()
     matrix[rows, rows] += variance
-    return replace(covariance, matrix=matrix), bending_m
+    return replace(covariance, matrix=matrix)
 
 
 def _outside(count: int, of: int, bent: Deformation) -> tuple[Note, ...]:

@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from solvers.estimate import Covariance
 from solvers.se3 import Array, exp_so3, inverse
 
 EDGE_RAD = float(np.radians(1.0))
@@ -74,12 +73,12 @@ class Deformation:
         ``T_sensor_carm`` (4, 4) is its mount then."""
         return T_world_sensor @ self.T_sensor_carm(T_sensor_carm, alpha_rad, beta_rad) @ inverse(T_sensor_carm)
 
-    def extra_variance(self, covariance: Covariance | None, alpha_rad: Array, beta_rad: Array) -> Array:
-        """(3,) m², by how much the offset is less certain at angles (N,), in the mean, than its ``covariance`` says."""
-        if not len(alpha_rad):
-            return np.zeros(3)
-        rigid = np.zeros(3) if covariance is None else np.diagonal(covariance.block("offset_sensor_pivot"))
-        return np.maximum((self.sigma_m(alpha_rad, beta_rad) ** 2).mean(axis=0) - rigid, 0.0)
+    @property
+    def variance_within(self) -> Array:
+        """(3,) m², mean variance of the offset over the nodes in the calibrated ranges."""
+        inside = ~self.extrapolated(*np.array([[node.alpha_rad, node.beta_rad] for node in self.nodes]).T)
+        sigma = np.array([node.sigma_offset_sensor_pivot_m for node in self.nodes])
+        return (sigma[inside] ** 2).mean(axis=0)
 
     @property
     def walk_m(self) -> float:
