@@ -118,8 +118,9 @@ def one_axis_in_words(problem: Problem) -> tuple[str, ...]:
     found = runout(theta, problem.p_world_sensor + problem.rotations @ point, problem.rotations @ v, u)
     return (
         f"one axis turned, by {np.degrees(swept(theta)):.3g} deg: it stands along {in_words(v)} in the sensor and "
-        f"along {in_words(u)} in the world, the sensor circles it at {circle.radius * 1e3:.4g} mm; it passes {_point(point)} "
-        f"in the sensor and {_point(circle.centre)} in the world{_runout_in_words(found) if found else ''}",
+        f"along {in_words(u)} in the world, the sensor circles it at {circle.radius * 1e3:.4g} mm; it passes "
+        f"{_point(point)} in the sensor and {_point(circle.centre)} in the world"
+        f"{_runout_in_words(found) if found else ''}",
     )
 
 

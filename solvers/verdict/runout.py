@@ -46,7 +46,7 @@ class Runout:
 
 def runout(theta: Array, point: Array, direction: Array, axis: Array) -> Runout | None:
     """Of N poses at the turns ``theta`` (N,), rad, that put a point and the direction of the body's axis at ``point``
-    (N, 3), m, and ``direction`` (N, 3) in the world, where the ``axis`` (3,) stands, both unit. None of too few poses."""
+    (N, 3), m, and ``direction`` (N, 3) in the world, where the ``axis`` (3,) stands, both unit. None of too few."""
     if len(theta) <= 4 * ORDER + 2:
         return None
     across = orthonormal_complement(axis) @ [1, 1j]
