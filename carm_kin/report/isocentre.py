@@ -76,9 +76,9 @@ def _maps(bent: Deformation) -> dict[str, Map]:
     alpha, beta = (np.linspace(x[0], x[1], STEPS) for x in (bent.alpha_range_rad, bent.beta_range_rad))
     shift_mm = (bent.shift_m(np.repeat(alpha, STEPS), np.tile(beta, STEPS)) * 1e3).reshape(STEPS, STEPS, 3)
     length = np.linalg.norm(shift_mm, axis=2)
-    at, most = np.degrees([alpha, beta]), max(float(length.max()), 1e-6)
-    maps = {"length": Map(*at, length, "mm", (0.0, most), AMOUNT)}
-    return maps | {name: Map(*at, shift_mm[..., k], "mm", (-most, most), SIGNED) for k, name in enumerate("xyz")}
+    x, y, most = np.degrees(alpha), np.degrees(beta), max(float(length.max()), 1e-6)
+    maps = {"length": Map(x, y, length, "mm", (0.0, most), AMOUNT)}
+    return maps | {name: Map(x, y, shift_mm[..., k], "mm", (-most, most), SIGNED) for k, name in enumerate("xyz")}
 
 
 def draw_isocentre(found: Isocentre, path: Path) -> None:

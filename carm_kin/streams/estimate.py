@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from carm_kin.calibrated.rotation_centre import RotationCentre
 from carm_kin.calibration.calibrate import MIN_PLACEMENT, calibrate
 from carm_kin.recording.recording import Recording
 from carm_kin.results.result import CalibrationResult
@@ -30,13 +31,16 @@ class Current:
     """The same in the direction in which it is greatest."""
     swept_rad: tuple[tuple[float, float], tuple[float, float]] | None = None
     """First and last angle of the arcs that the angular and the orbital joint have swept."""
+    centre: RotationCentre | None = None
+    """The calibration in use at the placement of the last pose, where it found the C to bend."""
 
 
 def current(poses: Sequence[Pose], of: int) -> Current:
     """The calibration from some ``poses``, evenly spread over ``of`` poses.
 
     It is that of the default solver, which starts at the closed form. The standard deviations are those that as many
-    poses of the same noise give: those of ``poses`` times the root of the ratio of the numbers.
+    poses of the same noise give: those of ``poses`` times the root of the ratio of the numbers, unless there are
+    systematic effects, which more poses do not take away.
     """
     counts = Counter(pose.marks.placement for pose in poses)
     kept = [pose for pose in poses if counts[pose.marks.placement] >= MIN_PLACEMENT]
@@ -46,7 +50,7 @@ def current(poses: Sequence[Pose], of: int) -> Current:
     result = calibrate(_recording(kept), angular=marks.angular, orbital=marks.orbital)
     if result.refusal or result.covariance is None:
         return Current(len(kept), result.refusal.message if result.refusal else "no covariance")
-    fewer = np.sqrt(len(kept) / max(of, len(kept)))
+    fewer = 1.0 if result.effects else np.sqrt(len(kept) / max(of, len(kept)))
     worst = float(np.sqrt(np.linalg.eigvalsh(result.covariance.block("offset"))[-1]))
     if not length_determined(worst):
         return Current(len(kept), f"the offset is {NOT_DETERMINED}")
@@ -58,6 +62,7 @@ def current(poses: Sequence[Pose], of: int) -> Current:
         None if sigma is None else sigma * fewer,
         worst * fewer,
         _swept(result),
+        RotationCentre(result, str(marks.placement)) if result.deformation else None,
     )
 
 

@@ -50,12 +50,10 @@ def runout(theta: Array, point: Array, direction: Array, axis: Array) -> Runout 
     if len(theta) <= 4 * ORDER + 2:
         return None
     across = orthonormal_complement(axis) @ [1, 1j]
-    order = np.arange(1, ORDER + 1)
-    turned, wave = np.exp(1j * theta)[:, None], np.exp(1j * theta[:, None] * order)
-    one = np.ones((len(theta), 1))
-    line = np.concatenate([one, turned], axis=1)
-    plane = np.concatenate([one, wave, wave.conj()], axis=1)
-    along = np.concatenate([one, wave.real, wave.imag], axis=1)
+    turns, one = theta[:, None] * np.arange(1, ORDER + 1), np.ones((len(theta), 1))
+    line = np.concatenate([one, np.exp(1j * turns[:, :1])], axis=1)
+    plane = np.concatenate([one, np.exp(1j * turns), np.exp(-1j * turns)], axis=1)
+    along = np.concatenate([one, np.cos(turns), np.sin(turns)], axis=1)
     shown = np.argsort(theta)[np.linspace(0, len(theta) - 1, min(len(theta), PLACES)).astype(int)]
     return Runout(
         _wander(plane, line, point @ across, shown),
