@@ -56,5 +56,10 @@ def test_a_pose_beyond_the_swept_angles_is_marked(now):
 
 
 def test_systematic_errors_are_not_divided_by_the_number_of_poses(now):
+    """Ten times as many poses leave a tenth of the variance of the noise, and all of the sag's."""
     assert now.centre is not None
-    np.testing.assert_allclose(now.sigma_m, now.centre.result.sigma.offset_sensor_pivot_m)
+    parts = {part.cause: part.offset_sensor_pivot_m**2 for part in now.centre.result.sigma_parts}
+    noise = parts.pop("noise") + parts.pop("correlation", np.zeros(3))
+    systematic = np.sum(list(parts.values()), axis=0)
+    np.testing.assert_allclose(now.sigma_m**2, noise / 10 + systematic, rtol=1e-6)
+    assert (systematic > noise).all()
