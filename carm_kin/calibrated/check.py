@@ -99,17 +99,16 @@ def check(
         return _judged(check_of_one_axis(blank, result, saved, recording, (sigma_t_m, sigma_r_rad)))
     if new.refusal:
         return replace(blank, refusal=_advised(new.refusal))
-    used, problem = _used(recording, new), to_problem(recording, angular, orbital, sigma_label_rad)
-    angles = angles_as_saved(saved, torus_of(new, recording.placements), problem)
-    straight = straightened(result, saved, recording, used, angles)
+    posed = partial(to_problem, angular=angular, orbital=orbital, sigma_label_rad=sigma_label_rad)
+    angles = angles_as_saved(saved, torus_of(new, recording.placements), posed(recording))
+    straight = straightened(result, saved, recording, _used(recording, new), angles)
     if straight.recording is not recording:
         new = again(straight.recording)
-        used, problem = _used(recording, new), to_problem(straight.recording, angular, orbital, sigma_label_rad)
     blank = replace(blank, used=new.used, extrapolated=straight.extrapolated, warnings=(*new.warnings, *straight.notes))
     if new.refusal:
         return replace(blank, refusal=_advised(new.refusal))
-    torus = torus_of(new, recording.placements)
-    return _judged(_compared(blank, result, saved, new, torus, problem.select(used), straight))
+    problem = posed(straight.recording).select(_used(recording, new))
+    return _judged(_compared(blank, result, saved, new, torus_of(new, recording.placements), problem, straight))
 
 
 def _used(recording: Recording, new: CalibrationResult) -> np.ndarray:
