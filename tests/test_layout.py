@@ -32,8 +32,8 @@ PLAN = {
     "solvers solvers.estimate solvers.likelihood solvers.nearest solvers.problem solvers.se3 solvers.torus",
     "quality": "ground report results solvers.estimate solvers.se3",
     "batches": "calibration ground machine recording results",
-    "streams": "calibration ground recording results solvers.se3",
-    "report": "calibration ground recording results "
+    "streams": "calibrated calibration ground recording results solvers.se3",
+    "report": "calibrated calibration ground recording results "
     "solvers.kinematic solvers.likelihood solvers.problem solvers.se3 solvers.torus",
     "exports": "calibration ground machine results solvers.plugins solvers.se3",
     "calibrated": "calibration ground machine recording results solvers.estimate solvers.kinematic solvers.likelihood "

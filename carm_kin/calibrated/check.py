@@ -3,21 +3,25 @@
 Two questions are asked. With the saved machine and sensor mount held fixed and the torus placed anew (the base
 may stand elsewhere), do the new poses fit? And does a free fit of the new recording give the same offset, orbital
 axis, major radius and non-orthogonality, beyond the tolerance and three standard deviations of both fits? Both
-angles of a pose are unknown in the first, so that it depends on no label.
+angles of a pose are unknown in the first, so that it depends on no label. Where the saved calibration found the C to
+bend, its poses are first put where a rigid one would have them, and its ± there counts.
 """
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from carm_kin.calibrated.check_one_axis import check_of_one_axis
 from carm_kin.calibrated.margin import SIGMAS, against, worst
+from carm_kin.calibrated.straightened import Straightened, angles_as_saved, straightened
 from carm_kin.calibration.calibrate import calibrate
 from carm_kin.calibration.cross_validate import torus_of
 from carm_kin.calibration.known_length import in_scale_of
 from carm_kin.calibration.problem import to_problem
 from carm_kin.errors import InputError
 from carm_kin.recording.formats import RecordingLike, as_recording
+from carm_kin.recording.recording import Recording
 from carm_kin.results.check_result import Angle, Check, Length
 from carm_kin.results.provenance import provenance_of
 from carm_kin.results.result import CalibrationResult, ResultLike, as_result
@@ -70,9 +74,9 @@ def check(
     result = as_result(result)
     recording = in_scale_of(result, as_recording(recording))
     saved = torus_of(result, tuple(placement.label for placement in result.placements))
-    new = calibrate(
-        recording,
-        "kinematic",
+    again = partial(
+        calibrate,
+        solver="kinematic",
         angular=angular,
         orbital=orbital,
         sigma_t_m=sigma_t_m,
@@ -80,6 +84,7 @@ def check(
         sigma_label_rad=sigma_label_rad,
         fix_non_orthogonality=saved.non_orthogonality == 0,
     )
+    new = again(recording)
     blank = Check(
         "refused",
         tolerance_m,
@@ -94,9 +99,21 @@ def check(
         return _judged(check_of_one_axis(blank, result, saved, recording, (sigma_t_m, sigma_r_rad)))
     if new.refusal:
         return replace(blank, refusal=_advised(new.refusal))
-    used = ~np.isin(recording.pose_number, new.outliers.indices)
-    problem = to_problem(recording, angular, orbital, sigma_label_rad).select(used)
-    return _judged(_compared(blank, result, saved, new, torus_of(new, recording.placements), problem))
+    posed = partial(to_problem, angular=angular, orbital=orbital, sigma_label_rad=sigma_label_rad)
+    angles = angles_as_saved(saved, torus_of(new, recording.placements), posed(recording))
+    straight = straightened(result, saved, recording, _used(recording, new), angles)
+    if straight.recording is not recording:
+        new = again(straight.recording)
+    blank = replace(blank, used=new.used, extrapolated=straight.extrapolated, warnings=(*new.warnings, *straight.notes))
+    if new.refusal:
+        return replace(blank, refusal=_advised(new.refusal))
+    problem = posed(straight.recording).select(_used(recording, new))
+    return _judged(_compared(blank, result, saved, new, torus_of(new, recording.placements), problem, straight))
+
+
+def _used(recording: Recording, new: CalibrationResult) -> np.ndarray:
+    """(N,) mask of the poses that agree with one C-arm."""
+    return ~np.isin(recording.pose_number, new.outliers.indices)
 
 
 def _advised(refusal: Note) -> Note:
@@ -107,16 +124,23 @@ def _advised(refusal: Note) -> Note:
 
 
 def _compared(
-    blank: Check, result: CalibrationResult, saved: Torus, new: CalibrationResult, torus: Torus, problem: Problem
+    blank: Check,
+    result: CalibrationResult,
+    saved: Torus,
+    new: CalibrationResult,
+    torus: Torus,
+    problem: Problem,
+    straight: Straightened,
 ) -> Check:
     """The differences of the two calibrations; ``problem`` holds the used poses."""
     sign = 1.0 if _same_zero(saved, torus) or torus.orbital_axis @ saved.orbital_axis > 0 else -1.0
     axis, moved = sign * torus.orbital_axis, torus.offset - saved.offset
     turned = np.cross(saved.orbital_axis, axis)
-    both = [c for c in (result.covariance, new.covariance) if c is not None]
+    both = [c for c in (straight.covariance, new.covariance) if c is not None]
     noise = (new.noise.translation_m or 0.0, new.noise.rotation_rad or 0.0)
     fixed, free = place(problem, saved, torus, noise), place(problem, torus, torus, noise)
     mm, deg = blank.tolerance_m, blank.tolerance_rad
+    moved_by, noise_of_it = _excess(fixed, free, 0)
     found = replace(
         blank,
         offset=Length(*against(mm, float(np.linalg.norm(moved)), worst(both, "offset_sensor_pivot"))),
@@ -132,7 +156,7 @@ def _compared(
             *against(mm, abs(abs(torus.major_radius) - abs(saved.major_radius)), worst(both, "major_radius"))
         ),
         non_orthogonality=Angle(*against(deg, _skewness(saved, torus), worst(both, "axis_non_orthogonality"))),
-        pose_position=Length(*against(mm, *_excess(fixed, free, 0))),
+        pose_position=Length(*against(mm, moved_by, float(np.hypot(noise_of_it, straight.bending_m)))),
         pose_rotation=Angle(*against(deg, *_excess(fixed, free, 1))),
         unseen=() if _same_zero(saved, torus) else (UNSEEN_SLIP,),
         warnings=(*blank.warnings, *taken_as_exact(result)),

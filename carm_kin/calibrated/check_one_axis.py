@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from carm_kin.calibrated.margin import against, worst
+from carm_kin.calibrated.straightened import straightened
 from carm_kin.calibration.calibrate import calibrate
 from carm_kin.recording.recording import Recording
 from carm_kin.results.check_result import Angle, Check, Length
@@ -48,8 +49,9 @@ def check_of_one_axis(
     point = calibrate(recording, locus="point", sigma_t_m=noise[0], sigma_r_rad=noise[1])
     if point.told is None or len(point.told.untold_directions_sensor) != 1:
         return replace(blank, unseen=EVERYTHING)
-    blank = replace(blank, used=point.used)
-    of_saved = [] if result.covariance is None else [result.covariance]
+    bent = straightened(result, saved, recording, np.ones(len(recording), dtype=bool), None)
+    blank = replace(blank, used=point.used, warnings=(*blank.warnings, *bent.notes))
+    of_saved = [] if bent.covariance is None else [bent.covariance]
     if abs(point.told.untold_directions_sensor[0] @ saved.orbital_axis) > ORBITAL_COSINE:
         return _orbital(blank, saved, point.told, of_saved)
     return _angular(blank, saved, point.told, of_saved)

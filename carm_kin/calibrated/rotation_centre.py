@@ -147,9 +147,8 @@ class RotationCentre:
         if self.bent is None:
             return T_world_sensor
         problem = Problem.of_poses(T_world_sensor[:, :3, 3], T_world_sensor[:, :3, :3])
-        mount = self.torus.T_sensor_carm
-        there = self.bent.T_sensor_carm(mount, *nearest(self.torus, problem, self.sigma))
-        return T_world_sensor @ there @ inverse(mount)
+        angles = nearest(self.torus, problem, self.sigma)
+        return self.bent.unbent(T_world_sensor, self.torus.T_sensor_carm, *angles)
 
     def locate_positions(self, p_world_sensor: ArrayLike) -> tuple[TorusPoses, TorusPoses]:
         """The nearest and the second solution of positions alone, (N, 3), m, by their distance from the torus.

@@ -3,6 +3,7 @@
 The rotation centre of a C-arm that is not isocentric, or whose centre is not where the patient is, can be led on a
 circle while the C turns, so that another point v of the C-arm frame stands still: at alpha = 0 by the travel
 (horizontal, lift) = -(Ry(beta) v)_{x,z} + const. The sensor then still moves on a circle, about that virtual centre.
+Where the calibration found the C to bend, the poses are first put where a rigid one would have them.
 """
 
 from dataclasses import replace
@@ -11,6 +12,7 @@ import numpy as np
 
 from carm_kin.calibrated.check import taken_as_exact
 from carm_kin.calibrated.rotation_centre import chain_at, noise_of
+from carm_kin.calibrated.straightened import straightened
 from carm_kin.calibration.known_length import in_scale_of
 from carm_kin.errors import InputError
 from carm_kin.recording.duplicates import NotMeasured
@@ -92,8 +94,20 @@ def virtual_centre(
     refusal = mixed_units(measured) or _refusal(used, again, off)
     if refusal is not None:
         return replace(blank, refusal=refusal)
-    found = _found(blank, scan.select(used), torus, sigma, result.covariance)
-    return _with_angles(found, scan.select(used), torus, sigma)
+    scan = scan.select(used)
+    angles = torus.angles(Problem.of_poses(scan.p_world_sensor, scan.R_world_sensor))
+    turned = abs(_base_turn(scan, torus)) > max(BASE_TURNED_RAD, OUTLIER_SIGMAS * sigma[1])
+    straight = straightened(result, torus, scan, np.ones(len(scan), dtype=bool), None if turned else angles)
+    blank = replace(blank, warnings=(*blank.warnings, *straight.notes))
+    found = _found(blank, straight.recording, torus, sigma, straight.covariance)
+    return _with_turn_told(found, scan, torus) if turned else _with_angles(found, angles, torus)
+
+
+def _base_turn(scan: Recording, torus: Torus) -> float:
+    """By how much the orbital axis stands off the calibrated angle to the angular axis, rad."""
+    y = (scan.T_world_sensor[:, :3, :3] @ torus.orbital_axis).mean(axis=0)
+    sine = -(y @ torus.angular_axis[0]) / np.linalg.norm(y)
+    return float(np.arcsin(np.clip(sine, -1, 1)) - torus.non_orthogonality)
 
 
 def _conventions(result: CalibrationResult) -> tuple[Note, ...]:
@@ -244,23 +258,25 @@ def _turn(T_world_carm: Array) -> float:
     return float(np.ptp(np.unwrap(np.arctan2(R[:, 0, 2] - R[:, 2, 0], R[:, 0, 0] + R[:, 2, 2]))))
 
 
-def _with_angles(found: VirtualCentre, scan: Recording, torus: Torus, sigma: tuple[float, float]) -> VirtualCentre:
-    """With alpha, beta and the travel, unless the base has turned since the calibration."""
+def _with_angles(found: VirtualCentre, angles: Array, torus: Torus) -> VirtualCentre:
+    """With alpha, beta and the travel, by the angles (N, 2) of the poses."""
     if found.centre_world_m is None or found.pivots_world_m is None:
         return found
-    y = (scan.T_world_sensor[:, :3, :3] @ torus.orbital_axis).mean(axis=0)
-    gap = float(np.arcsin(np.clip(-(y @ torus.angular_axis[0]) / np.linalg.norm(y), -1, 1)) - torus.non_orthogonality)
-    if abs(gap) > max(BASE_TURNED_RAD, OUTLIER_SIGMAS * sigma[1]):
-        note = Note(
-            "base_turned",
-            f"the orbital axis stands {np.degrees(abs(gap)):.2g} deg off the calibrated angle to the angular axis: the "
-            "base was turned, or is at another placement; alpha, beta and the travel are not told",
-        )
-        return replace(found, warnings=(*found.warnings, note))
-    angles = torus.angles(Problem.of_poses(scan.p_world_sensor, scan.R_world_sensor))
     return replace(
         found,
         alpha_rad=float(np.angle(np.exp(1j * angles[:, 0]).mean())),
         beta_rad=angles[:, 1],
         travel_torus_m=(found.pivots_world_m - found.centre_world_m) @ torus.T_world_torus[0, :3, :3],
     )
+
+
+def _with_turn_told(found: VirtualCentre, scan: Recording, torus: Torus) -> VirtualCentre:
+    """Without alpha, beta and the travel: the base has turned since the calibration."""
+    if found.centre_world_m is None:
+        return found
+    note = Note(
+        "base_turned",
+        f"the orbital axis stands {np.degrees(abs(_base_turn(scan, torus))):.2g} deg off the calibrated angle to the "
+        "angular axis: the base was turned, or is at another placement; alpha, beta and the travel are not told",
+    )
+    return replace(found, warnings=(*found.warnings, note))

@@ -9,6 +9,7 @@ import numpy as np
 
 from carm_kin.errors import InputError, on_one_line
 from carm_kin.machine.urdf import UrdfFile
+from carm_kin.results.deformation import Deformation
 from carm_kin.results.parts import Placement, PlacementSigma
 from carm_kin.results.result import CalibrationResult
 from solvers.se3 import Array, transform
@@ -52,6 +53,8 @@ class Subject:
     sigma_axis: float | None
     """Of the direction of the child's axis."""
     axis: str
+    deformation: Deformation | None = None
+    """How the child moves in the parent with the angles; None where it does not, as far as is known."""
 
 
 def subject_of(result: CalibrationResult, wanted: Wanted) -> Subject:
@@ -91,6 +94,7 @@ def _carm(result: CalibrationResult) -> Subject:
         sigma.offset_sensor_pivot_m,
         _length(sigma.orbital_axis_sensor),
         "y",
+        result.deformation,
     )
 
 
@@ -142,6 +146,7 @@ def facts(result: CalibrationResult, subject: Subject, convention: str, units: s
         f"zero: {subject.zero}",
         f"units: {units}",
         f"sigma: {sigma_words(subject)}",
+        *((f"deformation: {deformation_words(subject.deformation)}",) if subject.deformation else ()),
         *facts_of_origin(result),
     )
     return tuple(on_one_line(line) for line in lines)
@@ -166,6 +171,15 @@ def sigma_words(subject: Subject) -> str:
     if subject.sigma_axis is None:
         return words
     return f"{words}; of the direction of the {subject.axis} axis {degrees(subject.sigma_axis):.5f} deg"
+
+
+def deformation_words(bent: Deformation) -> str:
+    """What a rigid transform leaves out of a C that bends."""
+    return (
+        f"the C bends: the rigid transform is that of a deformation of mean zero over {bent.ranges}, over which the "
+        f"rotation centre walks up to {bent.walk_m * 1e3:.2f} mm in the sensor's frame; the export json and the result "
+        "itself have it over the angles"
+    )
 
 
 def in_xml_comment(text: str) -> str:

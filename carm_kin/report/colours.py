@@ -15,6 +15,11 @@ EXPECTED = "#ea580c"
 SERIES = ("#3b82f6", "#ea580c", "#16a34a", "#a855f7", "#db2777", "#0d9488", "#ca8a04", "#6b7280")
 """Of solvers, placements and other things without an order."""
 
+AMOUNT = ("#1e3a8a", "#0d9488", "#facc15")
+"""Of a value from 0 up, and"""
+SIGNED = ("#1d4ed8", "#93c5fd", "#f3f4f6", "#fca5a5", "#b91c1c")
+"""of one of either sign."""
+
 RAMPS = {
     "angular": ("#f59e0b", "#dc2626"),
     "orbital": ("#1d6fd8", "#22b8cf"),

@@ -8,6 +8,7 @@ from carm_kin.errors import InputError
 from carm_kin.recording.formats import RecordingLike, as_recordings
 from carm_kin.report.charts import charts
 from carm_kin.report.comparison import comparison_of
+from carm_kin.report.isocentre import wander_of
 from carm_kin.report.marks import Figure
 from carm_kin.report.matplotlib_figures import ENDINGS, draw, needs_matplotlib
 from carm_kin.report.poses import Joints, poses_of, together
@@ -34,7 +35,8 @@ def write_figures(
     needs_matplotlib()
     result = as_result(result)
     poses = poses_of(result, together(as_recordings(recording)), joints)
-    figures: list[Figure] = [scene(result, poses), *charts(result, poses)]
+    wander = wander_of(result)
+    figures: list[Figure] = [scene(result, poses), *(wander.charts if wander else ()), *charts(result, poses)]
     figures += comparison_of(compared, truth).charts if compared else ()
     folder = Path(folder)
     try:

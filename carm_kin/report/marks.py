@@ -63,6 +63,23 @@ class Surface:
 
 
 @dataclass(frozen=True, eq=False)
+class Map:
+    """Values over a grid as colours, with a bar that says which."""
+
+    x: Array
+    """(M,)."""
+    y: Array
+    """(N,)."""
+    values: Array
+    """(M, N)."""
+    unit: str
+    limits: tuple[float, float]
+    """Values of the first and the last colour."""
+    colours: tuple[str, ...]
+    """#rrggbb, evenly spread."""
+
+
+@dataclass(frozen=True, eq=False)
 class Text:
     """A word in space."""
 
@@ -71,7 +88,7 @@ class Text:
     words: str
 
 
-Mark = Points | Line | Bars | Surface | Text
+Mark = Points | Line | Bars | Surface | Map | Text
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +162,7 @@ def keys(figure: Figure) -> tuple[Key, ...]:
     """The legend, in the order in which the names come first."""
     found: dict[str, Key] = {}
     for number, mark in enumerate(figure.marks):
-        if isinstance(mark, Text) or not mark.name:
+        if isinstance(mark, (Map, Text)) or not mark.name:
             continue
         colour = mark.colour if isinstance(mark.colour, str) else mark.colour[len(mark.colour) // 2]
         before = found[mark.name].members if mark.name in found else ()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from carm_kin.report import static
-from carm_kin.report.marks import Axis, Bars, Chart, Figure, Line, Points, Space, Surface, Text, keys
+from carm_kin.report.marks import Axis, Bars, Chart, Figure, Line, Map, Points, Space, Surface, Text, keys
 from solvers.se3 import Array
 
 ENDINGS = ".svg", ".png"
@@ -68,7 +68,9 @@ def _limits(set_limits: Any, axis: Axis) -> None:
 
 
 def _flat(axes: Any, mark: Any) -> None:
-    if isinstance(mark, Bars):
+    if isinstance(mark, Map):
+        draw_map(axes, mark)
+    elif isinstance(mark, Bars):
         axes.bar(mark.edges[:-1], mark.heights, np.diff(mark.edges), align="edge", color=mark.colour, alpha=0.75)
     elif isinstance(mark, Line):
         axes.plot(*mark.at.T, color=mark.colour, linewidth=0.6 * mark.width, linestyle=_dash(mark))
@@ -76,6 +78,17 @@ def _flat(axes: Any, mark: Any) -> None:
         if mark.sigma is not None:
             axes.errorbar(*mark.at.T, yerr=mark.sigma, fmt="none", ecolor=mark.colour, elinewidth=1, capsize=2)
         axes.scatter(*mark.at.T, **_dots(mark))
+
+
+def draw_map(axes: Any, mark: Map) -> None:
+    """Draw a map and its bar of colours."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    colours, (low, high) = LinearSegmentedColormap.from_list("map", mark.colours), mark.limits
+    mesh = axes.pcolormesh(
+        mark.x, mark.y, mark.values.T, shading="gouraud", rasterized=True, cmap=colours, vmin=low, vmax=high
+    )
+    axes.figure.colorbar(mesh, ax=axes, label=mark.unit)
 
 
 def _dots(mark: Points) -> dict[str, Any]:

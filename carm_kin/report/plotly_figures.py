@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from carm_kin.report.marks import Axis, Bars, Chart, Figure, Line, Points, Space, Surface, Text
+from carm_kin.report.marks import Axis, Bars, Chart, Figure, Line, Map, Points, Space, Surface, Text
 from solvers.se3 import Array
 
 DIGITS = 5
@@ -79,6 +79,8 @@ def _axis(axis: Axis) -> dict[str, Any]:
 
 
 def _flat(mark: Any) -> dict[str, Any]:
+    if isinstance(mark, Map):
+        return _map(mark)
     if isinstance(mark, Bars):
         middle, width = (mark.edges[1:] + mark.edges[:-1]) / 2, np.diff(mark.edges)
         return {
@@ -102,6 +104,22 @@ def _flat(mark: Any) -> dict[str, Any]:
     if mark.sigma is not None:
         trace["error_y"] = {"type": "data", "array": _numbers(mark.sigma), "thickness": 1.5, "width": 3}
     return trace
+
+
+def _map(mark: Map) -> dict[str, Any]:
+    steps = np.linspace(0, 1, len(mark.colours)).tolist()
+    return {
+        "type": "heatmap",
+        "x": _numbers(mark.x),
+        "y": _numbers(mark.y),
+        "z": _numbers(mark.values.T),
+        "zmin": float(mark.limits[0]),
+        "zmax": float(mark.limits[1]),
+        "zsmooth": "best",
+        "colorscale": [list(step) for step in zip(steps, mark.colours, strict=True)],
+        "colorbar": {"title": {"text": plain(mark.unit)}, "thickness": 12, "outlinewidth": 0},
+        "hovertemplate": f"%{{x:.1f}}, %{{y:.1f}}: %{{z:.3f}} {plain(mark.unit)}<extra></extra>",
+    }
 
 
 def _marker(mark: Points, symbols: dict[str, str]) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from carm_kin.recording.formats import RecordingLike, as_recordings
 from carm_kin.report import words
 from carm_kin.report.charts import charts
 from carm_kin.report.comparison import comparison_of
+from carm_kin.report.isocentre import wander_of
 from carm_kin.report.page import write_page
 from carm_kin.report.poses import Joints, poses_of, together
 from carm_kin.report.scene import scene
@@ -59,6 +60,7 @@ def write_report(
         why=poses.why,
         outliers=_outliers(result),
         sweeps=_sweeps(result),
+        isocentre=wander_of(result),
         held_out=_held_out(result),
         joints=_joints(result.chain) if result.chain else [],
         comparison=comparison_of(compared, truth) if compared else None,

@@ -71,6 +71,8 @@ class Check:
     """Root mean square position error of the poses by the saved calibration beyond that by their own."""
     pose_rotation: Angle | None = None
     """The same of the orientations."""
+    extrapolated: int = 0
+    """Used poses outside of the angles over which the deformation of the C was calibrated."""
     failures: tuple[str, ...] = ()
     """In words."""
     unseen: tuple[str, ...] = ()

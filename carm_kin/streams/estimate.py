@@ -6,12 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from carm_kin.calibrated.rotation_centre import RotationCentre
 from carm_kin.calibration.calibrate import MIN_PLACEMENT, calibrate
 from carm_kin.recording.recording import Recording
 from carm_kin.results.result import CalibrationResult
 from carm_kin.results.shown import NOT_DETERMINED, length_determined
 from carm_kin.streams.live import Pose
 from solvers.se3 import Array
+
+OF_NOISE = ("noise", "correlation")
+"""Parts of the ± that more poses make less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,13 +34,16 @@ class Current:
     """The same in the direction in which it is greatest."""
     swept_rad: tuple[tuple[float, float], tuple[float, float]] | None = None
     """First and last angle of the arcs that the angular and the orbital joint have swept."""
+    centre: RotationCentre | None = None
+    """The calibration in use at the placement of the last pose, where it found the C to bend."""
 
 
 def current(poses: Sequence[Pose], of: int) -> Current:
     """The calibration from some ``poses``, evenly spread over ``of`` poses.
 
     It is that of the default solver, which starts at the closed form. The standard deviations are those that as many
-    poses of the same noise give: those of ``poses`` times the root of the ratio of the numbers.
+    poses of the same noise give: of those of ``poses`` what is noise, times the root of the ratio of the numbers.
+    Systematic effects are not taken away by more poses.
     """
     counts = Counter(pose.marks.placement for pose in poses)
     kept = [pose for pose in poses if counts[pose.marks.placement] >= MIN_PLACEMENT]
@@ -46,7 +53,7 @@ def current(poses: Sequence[Pose], of: int) -> Current:
     result = calibrate(_recording(kept), angular=marks.angular, orbital=marks.orbital)
     if result.refusal or result.covariance is None:
         return Current(len(kept), result.refusal.message if result.refusal else "no covariance")
-    fewer = np.sqrt(len(kept) / max(of, len(kept)))
+    fewer = _of_all(result, len(kept) / max(of, len(kept)))
     worst = float(np.sqrt(np.linalg.eigvalsh(result.covariance.block("offset"))[-1]))
     if not length_determined(worst):
         return Current(len(kept), f"the offset is {NOT_DETERMINED}")
@@ -56,9 +63,19 @@ def current(poses: Sequence[Pose], of: int) -> Current:
         "",
         result.offset_sensor_pivot_m,
         None if sigma is None else sigma * fewer,
-        worst * fewer,
+        worst * float(fewer.max()),
         _swept(result),
+        RotationCentre(result, str(marks.placement)) if result.deformation else None,
     )
+
+
+def _of_all(result: CalibrationResult, share: float) -> Array:
+    """(3,) by how much the offset's standard deviations are less, the poses being a ``share`` of all."""
+    square = {part.cause: part.offset_sensor_pivot_m**2 for part in result.sigma_parts}
+    if not square:
+        return np.full(3, np.sqrt(share))
+    noise = sum((square[name] for name in OF_NOISE if name in square), np.zeros(3))
+    return np.sqrt(1 - (1 - share) * noise / sum(square.values(), np.zeros(3)))
 
 
 def _recording(poses: Sequence[Pose]) -> Recording:

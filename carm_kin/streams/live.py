@@ -69,6 +69,8 @@ class Snapshot:
     """Largest angle between the first orientation and a later one."""
     tools: tuple[str, ...]
     events: tuple[str, ...]
+    last: Array | None
+    """(4, 4), m: the last pose that did not repeat the one before."""
 
     @property
     def stalled(self) -> bool:
@@ -170,6 +172,7 @@ class Live:
                 turned_rad=self._turned,
                 tools=self.tools,
                 events=tuple(self._events),
+                last=self._before,
             )
 
     def _add_pose(self, T: Array, marks: Marks) -> None:

@@ -15,6 +15,7 @@ from rich.text import Text
 from carm_kin.streams.capture import Scene
 from carm_kin.streams.estimate import Current
 from carm_kin.streams.live import Live, Snapshot
+from solvers.se3 import Array
 
 LINE_S = 5.0
 """Time between two plain lines."""
@@ -62,8 +63,9 @@ class Lines:
             self._print(scene.live, _alarm(self._title, scene) or "poses arrive again")
         if time.monotonic() >= self._due:
             self._due = time.monotonic() + LINE_S
-            parts = (_rate(scene.live), _losses(scene), _marks(scene.live), _calibration(scene.current, self._title))
-            self._print(scene.live, "; ".join(parts))
+            parts = [_rate(scene.live), _losses(scene), _marks(scene.live), _calibration(scene.current, self._title)]
+            here = _here(scene.live, scene.current)
+            self._print(scene.live, "; ".join([*parts, *([f"here {here}"] if here else [])]))
 
     def _print(self, live: Snapshot, what: str) -> None:
         self._console.print(f"{_clock(live.seconds)} {what}", soft_wrap=True)
@@ -100,6 +102,8 @@ def panel(title: Title, scene: Scene) -> Panel:
     rows.add_row("marks", Text(_marks(live)))
     rows.add_row("swept", Text(_swept(live, now)))
     rows.add_row("offset", Text(_calibration(now, title)))
+    if here := _here(live, now):
+        rows.add_row("here", Text(here))
     alarm = _alarm(title, scene)
     events = [Text(event, style="yellow") for event in live.events]
     parts = [rows, *([Text(alarm, style="bold white on red")] if alarm else []), *events, Text(scene.prompt, "dim")]
@@ -153,9 +157,26 @@ def _calibration(now: Current | None, title: Title) -> str:
         return "no calibration yet"
     if now.offset_m is None or now.sigma_m is None or now.worst_sigma_m is None:
         return f"no calibration yet: {now.refusal}"
-    numbers = ", ".join(f"{t * 1e3:.2f} ± {s * 1e3:.2f}" for t, s in zip(now.offset_m, now.sigma_m, strict=True))
+    numbers = _with_sigma(now.offset_m, now.sigma_m)
     goal = f" (goal {title.goal_m * 1e3:g})" if title.goal_m is not None else ""
     return f"{numbers} mm; sigma at most {now.worst_sigma_m * 1e3:.3f} mm{goal}"
+
+
+def _here(live: Snapshot, now: Current | None) -> str:
+    """The offset at the last pose of a C that bends; "" where that says nothing more."""
+    if now is None or now.centre is None or now.centre.bent is None or live.last is None or now.offset_m is None:
+        return ""
+    if now.centre.placement != str(live.marks.placement):
+        return ""
+    found, bent = now.centre.locate(live.last), now.centre.bent
+    angles = found.nearest.alpha_rad, found.nearest.beta_rad
+    at = ", ".join(f"{np.degrees(angle[0]):.0f}" for angle in angles)
+    beyond = "; EXTRAPOLATED beyond the poses so far" if found.extrapolated[0] else ""
+    return f"{_with_sigma(now.offset_m + bent.shift_m(*angles)[0], bent.sigma_m(*angles)[0])} mm at {at} deg{beyond}"
+
+
+def _with_sigma(value_m: Array, sigma_m: Array) -> str:
+    return ", ".join(f"{t * 1e3:.2f} ± {s * 1e3:.2f}" for t, s in zip(value_m, sigma_m, strict=True))
 
 
 def _alarm(title: Title, scene: Scene) -> str:

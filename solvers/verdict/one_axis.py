@@ -1,4 +1,4 @@
-"""What a motion about one axis tells: its direction in the sensor and in the world, and the circle of the sensor."""
+"""What a motion about one axis tells: where it stands in sensor and world, the circle of the sensor, its runout."""
 
 from dataclasses import dataclass
 
@@ -7,6 +7,7 @@ import numpy as np
 from solvers.problem import Problem
 from solvers.se3 import Array, orthonormal_complement
 from solvers.told import MIN_ARC_RAD, least_arc, turn_noise, turned
+from solvers.verdict.runout import Runout, Wander, runout
 
 STRAYS, MANY = 3, 100
 """So many poses at each end of an arc may be wrong, where there is one for every so many."""
@@ -102,7 +103,8 @@ def one_axis_in_words(problem: Problem) -> tuple[str, ...]:
 
     The axis u of the world is fixed in the sensor as v where ``R_i v = u``: the first singular vectors of the mean
     orientation. The sensor circles it, so that the positions across u lie on a circle about a point c of the axis.
-    Seen from the sensor it passes the mean of ``R_iᵀ (c - p_i)``, the part along v left out.
+    Seen from the sensor it passes the mean of ``R_iᵀ (c - p_i)``, the part along v left out. How that point and v move
+    in the world is the axis' runout.
     """
     if problem.placements > 1 or problem.R_world_sensor is None:
         return ()
@@ -110,15 +112,31 @@ def one_axis_in_words(problem: Problem) -> tuple[str, ...]:
     u, v = left[:, 0], right[0]
     e = orthonormal_complement(u)
     turn = problem.rotations @ orthonormal_complement(v)[:, 0] @ e
-    wobble = np.arctan2(np.linalg.norm(np.cross(problem.rotations @ v, u), axis=1), problem.rotations @ v @ u)
-    arc, circle = swept(np.arctan2(turn[:, 1], turn[:, 0])), circle_of(problem.p_world_sensor, u)
+    theta, circle = np.arctan2(turn[:, 1], turn[:, 0]), circle_of(problem.p_world_sensor, u)
     seen = np.einsum("nji,nj->ni", problem.rotations, circle.centre - problem.p_world_sensor).mean(axis=0)
+    point = seen - v * (v @ seen)
+    found = runout(theta, problem.p_world_sensor + problem.rotations @ point, problem.rotations @ v, u)
     return (
-        f"one axis turned, by {np.degrees(arc):.3g} deg: it stands along {in_words(v)} in the sensor and along "
-        f"{in_words(u)} in the world, the sensor circles it at {circle.radius * 1e3:.4g} mm, and it wobbles by "
-        f"{np.degrees(np.sqrt((wobble**2).mean())):.2g} deg (rms); it passes {_point(seen - v * (v @ seen))} "
-        f"in the sensor and {_point(circle.centre)} in the world",
+        f"one axis turned, by {np.degrees(swept(theta)):.3g} deg: it stands along {in_words(v)} in the sensor and "
+        f"along {in_words(u)} in the world, the sensor circles it at {circle.radius * 1e3:.4g} mm; it passes "
+        f"{_point(point)} in the sensor and {_point(circle.centre)} in the world"
+        f"{_runout_in_words(found) if found else ''}",
     )
+
+
+def _runout_in_words(found: Runout) -> str:
+    deg = float(np.degrees(1))
+    parts = (
+        _wander_in_words("radial runout", found.radial, 1e3, "mm"),
+        _wander_in_words("axial runout", found.axial, 1e3, "mm"),
+        _wander_in_words("wobble", found.wobble, deg, "deg"),
+    )
+    return f"; {', '.join(parts)} (peak to peak over the turn)"
+
+
+def _wander_in_words(name: str, wander: Wander, unit: float, unit_name: str) -> str:
+    noise = "" if wander.told else " within the noise"
+    return f"{name} {wander.size * unit:.2g} ± {wander.sigma * unit:.1g} {unit_name}{noise}"
 
 
 def in_words(direction: Array) -> str:

@@ -20,6 +20,7 @@ from carm_kin.recording.recording import Recording
 from carm_kin.results.parts import Provenance
 from carm_kin.results.result import CalibrationResult
 from carm_kin.testing import export as contract
+from helpers import bending
 from helpers.command import fails, run
 
 NAMES = sorted(exports())
@@ -255,3 +256,28 @@ def test_the_command_writes_the_file(name, result_file, tmp_path, capsys):
     assert ended.err == f"written: {out}\n"
     assert out.stat().st_size > 500
     assert "does not exist" in fails(capsys, "export", result_file, "--to", name, "-o", tmp_path / "no" / "out")
+
+
+def test_a_deformation_is_told_by_every_export_and_held_by_json(result, tmp_path):
+    """The mount at every pair of angles is the mean one moved by what the nodes say."""
+    bent = bending.deformation(2e-4)
+    moved = replace(result, deformation=bent)
+    walk = np.array([node.shift_sensor_pivot_m for node in bent.nodes]) * 1e3
+    walk_mm = np.linalg.norm(walk[:, None] - walk, axis=2).max()
+    for name in NAMES:
+        text = written(moved, name, tmp_path)
+        assert f"rotation centre walks up to {walk_mm:.2f} mm" in " ".join(text.split())
+        assert "the C bends" not in written(result, name, tmp_path)
+    found = json.loads(written(moved, "json", tmp_path))
+    grid = found["deformation"]["grid"]
+    assert found["deformation"]["alpha_range_deg"] == pytest.approx([-60, 60])
+    angles = np.radians([[row["alpha_deg"], row["beta_deg"]] for row in grid])
+    expected = (result.offset_sensor_pivot_m + bending.shift_m(angles)) * 1e3
+    np.testing.assert_allclose([row["translation_mm"] for row in grid], expected, atol=1e-9)
+    np.testing.assert_allclose([row["sigma_translation_mm"] for row in grid], 0.2)
+    turn = Rotation.from_quat([row["quat_xyzw"] for row in grid]).as_matrix()
+    np.testing.assert_allclose(turn, np.tile(result.T_sensor_carm[:3, :3], (len(grid), 1, 1)), atol=1e-12)
+    assert not any(row["extrapolated"] for row in grid)
+    read = json.loads(written(moved, "json", tmp_path, transform="world-torus"))
+    assert read["deformation"] is None
+    assert len(read["result"]["deformation"]["nodes"]) == len(grid)

@@ -26,6 +26,7 @@ from carm_kin.report import Joints, together, write_figures, write_report, write
 from carm_kin.report.charts import charts
 from carm_kin.report.circle import cut, span
 from carm_kin.report.comparison import comparison_of
+from carm_kin.report.isocentre import wander_of
 from carm_kin.report.marks import Axis, Bars, Chart, Line, Panel, Points, Surface, keys
 from carm_kin.report.matplotlib_figures import draw
 from carm_kin.report.page import embedded
@@ -34,7 +35,7 @@ from carm_kin.report.poses import poses_of
 from carm_kin.report.scene import scene
 from carm_kin.report.words import number, with_sigma
 from carm_kin.results.result import CalibrationResult
-from helpers import simulated
+from helpers import bending, simulated
 from helpers.command import fails, run
 
 HOSTILE = (
@@ -242,6 +243,30 @@ def test_the_page_has_the_numbers_with_their_sigmas(recording, result, tmp_path)
     assert all(note.message in text for note in result.warnings)
     assert str(result.outliers.indices[0]) in text
     assert text.index("Offset") < text.index("The machine and the poses") < text.index("Provenance")
+
+
+def test_the_isocentre_has_its_maps_where_the_c_bends(recording, result, tmp_path):
+    """A map's colours are those of the sag that was put in, which is known in closed form."""
+    bent = replace(result, deformation=bending.deformation())
+    write_report(replace(result, deformation=None), recording, tmp_path / "rigid.html")
+    assert "Isocentre" not in own_text(tmp_path / "rigid.html")
+    write_report(bent, recording, tmp_path / "bent.html")
+    page = page_of(tmp_path / "bent.html")
+    (section,) = [one for one in page.iter("section") if one.findtext("h2") == "Isocentre: the C bends"]
+    assert "over the angular axis from -60 to 60 deg it walks" in section.text_content().lower()
+    drawn = wander_of(bent).charts
+    assert [f"figure-{chart.name}" for chart in drawn] == [figure.get("id") for figure in section.iter("figure")]
+    at = drawn[0].panels[0].marks[0]
+    angles = np.radians(np.stack(np.meshgrid(at.x, at.y, indexing="ij"), axis=-1).reshape(-1, 2))
+    expected = bending.shift_m(angles).reshape(*at.values.shape, 3) * 1e3
+    np.testing.assert_allclose(at.values, np.linalg.norm(expected, axis=2), atol=0.03)
+    for chart, k in zip(drawn[1:], range(3), strict=True):
+        np.testing.assert_allclose(chart.panels[0].marks[0].values, expected[..., k], atol=0.03)
+    trace = plotly_figure(drawn[2])["data"][0]
+    assert trace["z"][5][40] == pytest.approx(expected[40, 5, 1], abs=0.03)
+    go.Figure(plotly_figure(drawn[0]))
+    draw(drawn[0], [tmp_path / "map.png"])
+    assert (tmp_path / "map.png").stat().st_size > 10_000
 
 
 def test_the_page_of_a_refusal_says_why_and_has_no_number(refused, tmp_path):

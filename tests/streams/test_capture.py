@@ -357,11 +357,13 @@ def test_the_swept_arcs_are_those_of_the_joints():
 
 
 def test_sigma_is_that_of_all_poses_not_of_the_thinned_ones():
-    """1200 poses of which a third is looked at: sigma is that of all to a quarter (noise is estimated from 400)."""
+    """1200 poses of which a third is looked at: sigma is that of all to a quarter (noise is estimated from 400). What
+    chance shows of systematic effects does not shrink."""
     poses, _ = captured(1200, 5e-4, 1e-3)
     whole, part = estimate.current(poses, 1200), estimate.current(poses[::3], 1200)
     assert part.worst_sigma_m == pytest.approx(whole.worst_sigma_m, rel=0.25)
-    assert estimate.current(poses[::3], 400).worst_sigma_m == pytest.approx(3**0.5 * part.worst_sigma_m)
+    few = estimate.current(poses[::3], 400)
+    assert 1.1 * part.worst_sigma_m < few.worst_sigma_m <= 3**0.5 * part.worst_sigma_m
 
 
 def test_what_is_missing_is_said_in_words():
