@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from solvers.likelihood.f_test import f_tail
 from solvers.se3 import Array, orthonormal_complement
-from solvers.verdict.f_test import f_tail
 
 ORDER = 2
 """Of the wander."""
