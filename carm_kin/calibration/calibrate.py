@@ -1,7 +1,7 @@
 """From a recording to a result: recording -> problem -> solver -> assessment -> result."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from carm_kin.calibration.options import options_of
 from carm_kin.calibration.problem import to_problem
 from carm_kin.calibration.settings import AUTO, CIRCLE, effects_of, options_class, solver_for
 from carm_kin.errors import InputError
-from carm_kin.recording.duplicates import NotMeasured
+from carm_kin.recording.duplicates import IDLE, NotMeasured
 from carm_kin.recording.formats import RecordingLike, as_recording
 from carm_kin.recording.recording import Recording
 from carm_kin.recording.stations import refitted
@@ -99,9 +99,8 @@ def calibrate(
     again = not_measured.any_of
     if (~again).sum() < limits.min_poses:
         again = np.zeros(len(recording), dtype=bool)
-    result = _calibrated(
+    run = _Run(
         recording,
-        ~again,
         lambda kept: replace(
             to_problem(kept, angular, orbital, sigma_label_rad), sigma_t=sigma_t_m, sigma_r=sigma_r_rad
         ),
@@ -111,7 +110,12 @@ def calibrate(
         effects_of(systematic),
         provenance_of(recording, command, options.get("seed")),
     )
-    return _with_left_out(result, recording, not_measured) if again.any() else result
+    result = _calibrated(run, ~again)
+    if not again.any():
+        return result
+    frozen = tuple(note for note in recording.warnings if note.code == "duplicated_poses")
+    result = replace(result, warnings=(*frozen, *not_measured.notes(), *result.warnings))
+    return _with_left_out(result, recording, not_measured)
 
 
 def _by_known_length(
@@ -126,19 +130,24 @@ def _by_known_length(
     return result if result.refusal else with_scale(result, known, scale)
 
 
-def _calibrated(
-    whole: Recording,
-    kept: np.ndarray,
-    problem_of: Callable[[Recording], Problem],
-    name: str,
-    options: Any,
-    limits: Limits,
-    effects: tuple[str, ...],
-    provenance: Provenance,
-) -> CalibrationResult:
-    """The result of the ``kept`` poses (N,) of a recording."""
-    recording = whole if kept.all() else whole.select(kept)
-    problem = problem_of(recording)
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """What of a calibration does not depend on the poses that are kept."""
+
+    whole: Recording
+    problem_of: Callable[[Recording], Problem]
+    name: str
+    options: Any
+    limits: Limits
+    effects: tuple[str, ...]
+    provenance: Provenance
+
+
+def _calibrated(run: _Run, kept: np.ndarray) -> CalibrationResult:
+    """The result of the ``kept`` poses (N,) of the recording."""
+    name, options, limits, provenance = run.name, run.options, run.limits, run.provenance
+    recording = run.whole if kept.all() else run.whole.select(kept)
+    problem = run.problem_of(recording)
     if problem.R_world_sensor is None and name != "surface":
         raise InputError(f"the recording has no orientations (qw, qx, qy, qz), which '{name}' needs; use 'surface'")
     refusal = Note("too_few_poses", f"{len(problem)} poses; at least {limits.min_poses} are needed")
@@ -146,7 +155,7 @@ def _calibrated(
         refusal = (
             wrong_unit(problem.p_world_sensor, problem.R_world_sensor)
             or mixed_units(problem)
-            or _small_placement(whole, kept)
+            or _small_placement(run.whole, kept)
         )
     if refusal:
         return refused_result(recording, name, asdict(options), refusal, provenance)
@@ -163,14 +172,32 @@ def _calibrated(
     except ValueError as error:
         raise InputError(str(error)) from None
     with step("assess the estimate"):
-        assessment = assess(problem, estimate, limits, effects)
+        assessment = assess(problem, estimate, limits, run.effects)
+    if assessment.idle.size:
+        idle = np.isin(problem.placement, assessment.idle)
+        rest = recording.select(~idle)
+        result = _calibrated(replace(run, whole=rest), np.ones(len(rest), dtype=bool))
+        return _without_idle(result, recording, idle)
     if assessment.systematic is not None:
         estimate = allowing_for(estimate, problem, assessment.systematic)
     return result_of(recording, problem, estimate, assessment, asdict(options), provenance)
 
 
+def _without_idle(result: CalibrationResult, recording: Recording, idle: np.ndarray) -> CalibrationResult:
+    """The ``result`` of the poses but for those of the mask ``idle`` (N,), whose placements have no angular motion."""
+    labels = [recording.placements[k] for k in np.unique(recording.placement_number[idle])]
+    named = ", ".join(f"'{label}'" for label in labels)
+    note = Note(
+        "placement_left_out",
+        f"placement{'s' * (len(labels) > 1)} {named} ({idle.sum()} poses) left out: without angular motion there, "
+        "where the base stood is unknown, and the poses tell nothing of the offset",
+    )
+    result = replace(result, warnings=(*result.warnings, note))
+    return _with_left_out(result, recording, NotMeasured({IDLE: idle}))
+
+
 def _with_left_out(result: CalibrationResult, recording: Recording, not_measured: NotMeasured) -> CalibrationResult:
-    """The result with the poses that are no measurements, which had no part in it, counted and listed."""
+    """The result with the poses that had no part in it counted and listed."""
     again = not_measured.any_of
     numbers = tuple(int(i) for i in recording.pose_number[again])
     fitted = result.outliers.indices
@@ -183,14 +210,12 @@ def _with_left_out(result: CalibrationResult, recording: Recording, not_measured
     if result.angles_rad is not None:
         angles = np.full((len(recording), 2), np.nan)
         angles[~again] = result.angles_rad
-    frozen = (note for note in recording.warnings if note.code == "duplicated_poses")
     return replace(
         result,
         poses=len(recording),
         outliers=Outliers(
             len(fitted) + len(numbers), tuple(sorted((*fitted, *numbers))), (*result.outliers.reasons, *known)
         ),
-        warnings=(*frozen, *not_measured.notes(), *result.warnings),
         angles_rad=angles,
     )
 

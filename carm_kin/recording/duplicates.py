@@ -16,6 +16,7 @@ from solvers.estimate import Note
 from solvers.se3 import Array
 
 COPIED = "a copy of an earlier pose"
+IDLE = "no angular motion in this placement"
 STANDING = "the position stands still while the orientation turns"
 """What the list of outliers says of them."""
 LEAST_RUN = 3
@@ -50,16 +51,19 @@ class NotMeasured:
         """(N,) the poses to leave out."""
         return np.any([*self.reasons.values()], axis=0)
 
+    def _count(self, reason: str) -> int:
+        return int(self.reasons[reason].sum()) if reason in self.reasons else 0
+
     def notes(self) -> tuple[Note, ...]:
         """Warnings of the copies and of the positions at rest; those of `REPEATED` are the recording's own."""
         n = len(self.any_of)
         found = []
-        if copies := int(self.reasons[COPIED].sum()):
+        if copies := self._count(COPIED):
             message = (
                 f"{copies} of {n} poses are copies of earlier ones, as if a part was pasted twice; each counts once"
             )
             found.append(Note("copied_poses", message))
-        if still := int(self.reasons[STANDING].sum()):
+        if still := self._count(STANDING):
             message = (
                 f"{still} of {n} poses have one and the same position while the orientation turns, as a tracker writes "
                 "that lost the position; they were not used"

@@ -17,6 +17,8 @@ from solvers.torus import Torus
 
 LEAST_GAIN = 8.0
 """In log-likelihood, from which on the effects move the estimate, and not only widen its ±."""
+LEAST_BLOCKS = 100
+"""Stretches of poses below which the effects only widen the ±: some stations do not tell them from the machine."""
 FARTHEST = 5.0
 """Standard deviations of the estimate, with all effects, by which they may move it."""
 KEPT = ("sigma_t", "sigma_r", "sigma_label", "shape", "used", "iterations", "converged", "notes")
@@ -35,7 +37,8 @@ def allowing_for(estimate: Estimate, problem: Problem, found: Systematic | Point
     if estimate.torus is None or stated is None:
         return estimate
     widened = _widened(estimate, estimate.torus, stated, found)
-    if estimate.solver != "kinematic" or found.gain < LEAST_GAIN or widened.covariance is None:
+    few = len(found.scene.blocks.middle) < LEAST_BLOCKS
+    if estimate.solver != "kinematic" or found.gain < LEAST_GAIN or few or widened.covariance is None:
         return widened
     move = (_reported(estimate.torus, found) @ found.step)[:3]
     if move @ np.linalg.solve(widened.covariance.block("offset"), move) > FARTHEST**2:

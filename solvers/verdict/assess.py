@@ -4,7 +4,7 @@ Every solver's chain is judged by the same likelihood, so that residuals can be 
 docs/refusals.md lists the codes.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,7 +28,15 @@ from solvers.verdict.bump import bump_of
 from solvers.verdict.diagnose import LABELS, base_moved_at, causes_of
 from solvers.verdict.held_out import LeftOut, left_out
 from solvers.verdict.limits import Limits, misfit, uncertain
-from solvers.verdict.observability import AMBIGUOUS, balanced, in_words, joints_at_rest, thickness, turns_about_one_axis
+from solvers.verdict.observability import (
+    AMBIGUOUS,
+    balanced,
+    idle_placements,
+    in_words,
+    joints_at_rest,
+    thickness,
+    turns_about_one_axis,
+)
 from solvers.verdict.one_axis import one_circle
 from solvers.verdict.rejected import doubtful
 from solvers.verdict.residuals import neighbour_correlation, residual_notes
@@ -65,6 +73,8 @@ class Assessment:
     refusal: Note | None
     systematic: Systematic | PointSystematic | None = None
     """The effects beside the noise; None where it is refused or has no covariance."""
+    idle: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    """Numbers of the placements without which it need not be refused: they have no angular motion."""
     left_out: LeftOut | None = None
     """How the parts of the recording agree beside them; None where there are too few parts."""
 
@@ -102,6 +112,7 @@ def assess(
     still = joints_at_rest(part, angles, sigma[1], limits)
     if _loud(sigma, limits) or (null.size and not still):
         still = turns_about_one_axis(part)
+    idle = idle_placements(part, angles, sigma[1], limits) if still else np.zeros(0, dtype=int)
     unobservable = (*still, *in_words(torus, active, null))
     if not still and ambiguous(part):
         unobservable += (AMBIGUOUS,)
@@ -149,6 +160,7 @@ def assess(
         notes=(*_rejections(used, moved_at, limits), *(causes or moved), *slips, *clean, *disagree),
         refusal=_with_causes(refusal, causes, used, limits),
         systematic=found,
+        idle=idle,
         left_out=left_out(found) if found else None,
     )
 

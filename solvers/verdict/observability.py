@@ -36,6 +36,17 @@ def thickness(problem: Problem) -> float:
     return min(float(np.linalg.svd(x - x.mean(axis=0), full_matrices=False)[1][-1]) / np.sqrt(len(x)) for x in parts)
 
 
+def angular_arcs(problem: Problem, angles: Array) -> Array:
+    """(P,) how far alpha of ``angles`` (2, N), rad, is swept in every placement."""
+    return np.array([swept(angles[0, problem.placement == p]) for p in np.unique(problem.placement)])
+
+
+def idle_placements(problem: Problem, angles: Array, sigma_r: float, limits: Limits) -> np.ndarray:
+    """Numbers of the placements without angular motion, where others have it: what stands in the way of these alone."""
+    idle = angular_arcs(problem, angles) < least_arc(sigma_r, limits)
+    return np.flatnonzero(idle) if not idle.all() else np.zeros(0, dtype=int)
+
+
 def joints_at_rest(problem: Problem, angles: Array, sigma_r: float, limits: Limits) -> tuple[str, ...]:
     """Sentences for the joints that are not swept by `least_arc`, of ``angles`` (2, N), and what is told of the other.
 
@@ -44,17 +55,17 @@ def joints_at_rest(problem: Problem, angles: Array, sigma_r: float, limits: Limi
     """
     least = least_arc(sigma_r, limits)
     members = [problem.placement == p for p in np.unique(problem.placement)]
-    arcs = [swept(angles[0, here]) for here in members]
-    angular, orbital = min(arcs), swept(angles[1])
+    arcs = angular_arcs(problem, angles)
+    angular, orbital = arcs.min(), swept(angles[1])
     if angular >= least and orbital >= least:
         return ()
-    if max(arcs) < least and orbital < least:
+    if arcs.max() < least and orbital < least:
         return (
             f"no motion about either axis beyond {np.degrees(least):.2g} deg: both axes and the offset are unknown",
         )
     name, arc = ("angular", angular) if angular < least else ("orbital", orbital)
-    here = members[int(np.argmin(arcs))] if name == "angular" else np.ones(len(problem), dtype=bool)
-    where = "" if len(members) == 1 or name == "orbital" else f" at placement {int(np.argmin(arcs)) + 1}"
+    here = members[int(arcs.argmin())] if name == "angular" else np.ones(len(problem), dtype=bool)
+    where = "" if len(members) == 1 or name == "orbital" else f" at placement {arcs.argmin() + 1}"
     unknown = "the offset along the other axis" if not where else "where the base stood there"
     named = (problem.held >= 0).any() or np.isfinite(problem.label).any()
     name = name if named else "second"

@@ -10,6 +10,7 @@ import solvers
 from carm_kin.errors import InputError
 from carm_kin.recording.recording import Recording
 from carm_kin.results.result import CalibrationResult
+from solvers.se3 import exp_so3
 
 MACHINES = "mobile_isocentric", "mobile_nonisocentric", "mobile_skewed"
 EXACT_M = 1e-9
@@ -224,3 +225,26 @@ def test_unknown_names_come_with_the_valid_ones(noisy):
         carm_kin.calibrate(noisy, "kinematic", locus="point")
     with pytest.raises(InputError, match="no option 'bogus'; it has"):
         carm_kin.calibrate(noisy, "direct", bogus=1)
+
+
+def test_a_placement_that_tells_nothing_is_left_out_and_listed():
+    recording, _ = carm_kin.simulate("mobile_skewed", "clinical", seed=4, sigma_t_m=2e-4, sigma_r_rad=1.4e-3)
+    orbital = next(sweep for sweep in recording.sweeps if sweep.moving == "orbital")
+    alone = np.zeros(len(recording), dtype=bool)
+    alone[orbital.poses] = True
+    placement = np.where(alone, "elsewhere", "here")
+    turned = exp_so3(np.array([0.0, 0.3, 0.0]))
+    p = np.where(alone[:, None], recording.p_world_sensor @ turned.T, recording.p_world_sensor)
+    R = np.where(alone[:, None, None], turned @ recording.R_world_sensor, recording.R_world_sensor)
+    T = np.tile(np.eye(4), (len(recording), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = R, p
+    found = carm_kin.calibrate(Recording.from_poses(T, placement=placement))
+    rest = carm_kin.calibrate(Recording.from_poses(T[~alone], placement=placement[~alone]))
+    assert found.status == "ok"
+    np.testing.assert_array_equal(found.offset_sensor_pivot_m, rest.offset_sensor_pivot_m)
+    assert [placement.label for placement in found.placements] == ["here"]
+    assert found.poses == len(recording)
+    assert set(np.flatnonzero(alone)) <= set(found.outliers.indices)
+    assert np.isnan(found.angles_rad[alone]).all()
+    assert np.isfinite(found.angles_rad[~alone]).all()
+    assert "placement_left_out" in {note.code for note in found.warnings}

@@ -13,6 +13,7 @@ from helpers.places import DATA
 from solvers import pivot
 
 CARM = DATA / "real-carm" / "marker_two_placements.csv"
+STATIONS = DATA / "real-carm-raw" / "stations_1_to_56.csv"
 PIVOT = DATA / "static-pivot" / "pointer_481.csv"
 
 OFFSET_MM = np.array([-157.4, 9.8, 685.1])
@@ -97,3 +98,25 @@ def test_a_static_pivot():
 def test_a_static_pivot_is_no_c_arm():
     result = carm_kin.calibrate(carm_kin.read_recording(PIVOT))
     assert result.status == "refused"
+
+
+@pytest.mark.skipif(not STATIONS.is_file(), reason="../shared/data/real-carm-raw is not here")
+def test_a_placement_without_angular_motion_does_not_spoil_the_others():
+    """Stations 27 to 35 turn about the orbital axis alone; every other set of the groups agrees within its ±."""
+    raw = carm_kin.read_recording(STATIONS)
+    group = np.full(len(raw), -1)
+    for k, (first, last) in enumerate(((1, 17), (19, 26), (27, 35), (37, 56))):
+        group[first - 1 : last] = k
+    T = np.tile(np.eye(4), (len(raw), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = raw.R_world_sensor, raw.p_world_sensor
+    for some in ((0, 1, 2, 3), (0, 2, 3), (1, 2, 3), (0, 1, 2)):
+        here = np.isin(group, some)
+        found = carm_kin.calibrate(Recording.from_poses(T[here], placement=group[here].astype(str)))
+        assert found.status == "ok"
+        message = next(note.message for note in found.warnings if note.code == "placement_left_out")
+        assert message.startswith("placement '2' (9 poses) left out")
+        assert found.poses == here.sum()
+        assert len(found.placements) == len(some) - 1
+        assert set(np.flatnonzero(group[here] == 2)) <= set(found.outliers.indices)
+        off = found.offset_sensor_pivot_m - np.array([-0.157, 0.010, 0.686])
+        assert (np.abs(off) < 2.5 * found.sigma.offset_sensor_pivot_m).all()
