@@ -16,7 +16,7 @@ from carm_kin.calibrated.check_one_axis import check_of_one_axis
 from carm_kin.calibrated.margin import SIGMAS, against, worst
 from carm_kin.calibrated.straightened import Straightened, angles_as_saved, straightened
 from carm_kin.calibration.calibrate import calibrate
-from carm_kin.calibration.cross_validate import torus_of
+from carm_kin.calibration.cross_validate import placed, torus_of
 from carm_kin.calibration.known_length import in_scale_of
 from carm_kin.calibration.problem import to_problem
 from carm_kin.errors import InputError
@@ -99,6 +99,7 @@ def check(
         return _judged(check_of_one_axis(blank, result, saved, recording, (sigma_t_m, sigma_r_rad)))
     if new.refusal:
         return replace(blank, refusal=_advised(new.refusal))
+    recording = recording.select(placed(recording, new))
     posed = partial(to_problem, angular=angular, orbital=orbital, sigma_label_rad=sigma_label_rad)
     angles = angles_as_saved(saved, torus_of(new, recording.placements), posed(recording))
     straight = straightened(result, saved, recording, _used(recording, new), angles)

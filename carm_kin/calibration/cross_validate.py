@@ -63,6 +63,9 @@ def cross_validate(
     if whole.status == "partial":
         raise RefusedError("partial", f"not told: {'; '.join(whole.observability.unobservable)}")
     recording = in_scale_of(whole, recording)
+    told = placed(recording, whole)
+    recording, number = recording.select(told), number[told]
+    counted = None if counted is None else counted[told]
     of_point = options.get("locus") == POINT
     if not of_point:
         torus_of(whole, recording.placements)
@@ -94,7 +97,15 @@ def errors_of(
 
     Raises InputError where the result has no complete chain.
     """
-    return _predicted(recording, to_problem(recording, angular, orbital), result, counted)
+    told = placed(recording, result)
+    recording = recording.select(told)
+    return _predicted(recording, to_problem(recording, angular, orbital), result, counted[told])
+
+
+def placed(recording: Recording, result: CalibrationResult) -> np.ndarray:
+    """(N,) mask of the poses of whose placement the result tells where it stands."""
+    told = {placement.label for placement in result.placements}
+    return np.array([label in told for label in recording.placements])[recording.placement_number]
 
 
 def fold_of_poses(recording: Recording, folds: int) -> np.ndarray:
@@ -149,6 +160,9 @@ def _refusal(recording: Recording, problem: Problem, fit: CalibrationResult, res
     """Why the fit to the ``rest`` (N,) cannot predict the other poses."""
     if refusal := placement_gone(recording, rest) or fit.refusal:
         return refusal
+    if not placed(recording, fit).all():
+        label = recording.placements[recording.placement_number[~placed(recording, fit)][0]]
+        return Note("one_axis_only", f"no angular motion of placement '{label}' is left to fit")
     torus = torus_of(fit, recording.placements)
     angles = torus.angles(problem)
     for k, label in enumerate(recording.placements):

@@ -119,3 +119,15 @@ def test_labels_that_are_off_spoil_no_prediction(sweeps):
     off = np.radians(np.random.default_rng(5).uniform(-0.5, 0.5, len(sweeps.sweeps)))[sweeps.sweep_number]
     found = cross_validate(replace(sweeps, joints={joint: angle + off for joint, angle in sweeps.joints.items()}), 4)
     assert found.overall.chi2_per_dof == pytest.approx(1, abs=0.15)
+
+
+def test_a_placement_that_is_left_out_is_not_scored(sweeps):
+    """One sweep of the orbital joint stands elsewhere: the others are held out as if it were not there."""
+    orbital = next(sweep for sweep in sweeps.sweeps if sweep.moving == "orbital")
+    placement = np.where(np.isin(np.arange(len(sweeps)), orbital.poses), "B", "A")
+    rest = sweeps.select(placement == "A")
+    found = cross_validate(replace(sweeps, placement=placement), 4)
+    alone = cross_validate(rest, 3)
+    assert [fold.sweeps for fold in found.per_fold if fold.poses] == [fold.sweeps for fold in alone.per_fold]
+    assert found.overall.poses == alone.overall.poses == len(rest)
+    assert found.overall.translation_rms_m == pytest.approx(alone.overall.translation_rms_m, rel=1e-6)
