@@ -17,6 +17,8 @@ from solvers.se3 import Array
 
 RIDGE = 1e-11
 """Relative to the information of an unknown, added to it."""
+PAD = 1e-12
+"""Relative to y'y, added to it."""
 LONGEST_STEP = 2.0
 """Greatest change of the logarithm of a variance in a step."""
 DAMPING = 0.05
@@ -86,19 +88,31 @@ class Mixed:
         return K
 
     @cached_property
-    def _factor(self) -> Array:
-        return np.asarray(np.linalg.cholesky(self.equations), dtype=float)
+    def _with_y(self) -> Array:
+        """Cholesky factor of the equations with their right side and y'y bordering them: below L stand L⁻¹ b and, last,
+        the root of what is left of y'y."""
+        i = np.append(self.index, -1)
+        scale = np.append(self.scale, 1.0)
+        K = np.zeros((len(i), len(i)))
+        K[:-1, :-1] = self.equations
+        K[-1] = K[:, -1] = self._normal_unscaled[i, -1] * scale
+        K[-1, -1] += PAD * K[-1, -1] + np.finfo(float).tiny
+        return np.asarray(np.linalg.cholesky(K), dtype=float)
+
+    @cached_property
+    def _root(self) -> Array:
+        """L⁻¹ of the scaled equations L Lᵀ."""
+        return _lower_inverse(self._with_y[:-1, :-1])
 
     @cached_property
     def _inverse(self) -> Array:
         """Of the scaled equations."""
-        L = _lower_inverse(self._factor)
-        return np.asarray(L.T @ L, dtype=float)
+        return np.asarray(self._root.T @ self._root, dtype=float)
 
     @cached_property
     def _solution(self) -> Array:
         """Unknowns and coefficients, scaled."""
-        return self._inverse @ (self.scale * self._normal_unscaled[self.index, -1])
+        return self._root.T @ self._with_y[-1, :-1]
 
     @property
     def solution(self) -> Array:
@@ -135,10 +149,9 @@ class Mixed:
     @property
     def log_likelihood(self) -> float:
         """Restricted, but for a constant."""
-        left = self.residual @ self.fixed @ self.residual
-        quadratic = (self._squares / self.noise).sum() + left + (self._solution[self.unknowns :] ** 2).sum()
-        logs = 2 * np.log(np.diagonal(self._factor)).sum() - 2 * np.log(self.scale[: self.unknowns]).sum()
-        return self.constant - 0.5 * float(logs + (self.rows * np.log(self.noise)).sum() + quadratic)
+        logs = np.log(np.diagonal(self._with_y)[:-1]).sum() - np.log(self.scale[: self.unknowns]).sum()
+        noise = (self.rows * np.log(self.noise)).sum()
+        return self.constant - 0.5 * float(2 * logs + noise + self._with_y[-1, -1] ** 2)
 
     @cached_property
     def told(self) -> Array:
@@ -185,7 +198,7 @@ class Mixed:
         i, K = self.index, self._normal_unscaled
         for g in np.flatnonzero(self.variance == 0):
             z = self.unknowns + np.flatnonzero(self.group == g)
-            cross = np.linalg.solve(self._factor, K[np.ix_(i, z)] * self.scale[:, None])
+            cross = self._root @ (K[np.ix_(i, z)] * self.scale[:, None])
             Zy = K[z, -1] - K[np.ix_(z, i)] @ (self.scale * self._solution)
             S = K[np.ix_(z, z)] - cross.T @ cross
             score[g], information[g] = 0.5 * (Zy @ Zy - np.trace(S)), 0.5 * (S**2).sum()
@@ -209,7 +222,9 @@ def most_likely(model: Mixed) -> Mixed:
         damped = A + DAMPING * np.diag(np.maximum(np.diagonal(A), 0.5))
         step[live] = np.clip(np.linalg.solve(damped, g), -LONGEST_STEP, LONGEST_STEP)
         trial = _climbed(model, step, least)
-        trial = trial.at(np.where((trial.told < NOTHING) & (step[:groups] < 0), 0.0, trial.variance), trial.noise)
+        gone = (trial.variance > 0) & (trial.told < NOTHING) & (step[:groups] < 0)
+        if gone.any():
+            trial = trial.at(np.where(gone, 0.0, trial.variance), trial.noise)
         settled = np.abs(step[live] @ g) < SETTLED
         model = trial
         if settled:
