@@ -154,7 +154,8 @@ def test_the_expected_residuals_are_those_of_many_recordings(labels):
             moving=moving,
             joints=joints if labels else {},
         )
-        result = carm_kin.calibrate(recording, reject_outliers=False, sigma_t_m=5e-4, sigma_r_rad=1e-3)
+        noise = {"sigma_t_m": 5e-4, "sigma_r_rad": 1e-3}
+        result = carm_kin.calibrate(recording, reject_outliers=False, systematic="none", **noise)
         fit = poses_of(result, recording).fit
         assert fit is not None
         squares += fit.residual**2
