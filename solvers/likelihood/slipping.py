@@ -23,7 +23,7 @@ FALSE_ALARM = 1e-8
 """Probability of letting go a joint that is held, in any sweep."""
 MOST_RAD = float(np.radians(5.0))
 """Beyond this a joint does not slip, but moves, and the sweep is not what it is said to be."""
-TOLD_RAD = float(np.radians(0.2))
+TOLD_RAD = float(np.radians(0.3))
 """From this slip on it is said."""
 EXACT_RAD = 1e-6
 """Noise of the angles below which it is rounding."""
@@ -40,17 +40,15 @@ def let_go(problem: Problem, torus: Torus, used: np.ndarray) -> tuple[Problem, t
     lasts = _lasts(courses)
     soft = np.zeros(problem.held.shape, dtype=bool)
     sigma = np.zeros(soft.shape) if problem.sigma_label is None else problem.sigma_label.copy()
-    notes = []
-    for course in courses:
-        if course.probability(lasts) < FALSE_ALARM and course.size < MOST_RAD:
-            middle, joint = course.middle, course.joint
-            sigma[middle, joint] = np.hypot(sigma[middle, joint], course.slip.std())
-            soft[course.poses, joint] = course.poses != middle
-            if course.size > TOLD_RAD:
-                notes.append(course.note(problem))
-    if not soft.any():
+    slipping = [one for one in courses if one.probability(lasts) < FALSE_ALARM and one.size < MOST_RAD]
+    if not slipping:
         return problem, ()
-    return replace(problem, sigma_label=sigma).softened(soft), tuple(notes)
+    for course in slipping:
+        middle, joint = course.middle, course.joint
+        sigma[middle, joint] = np.hypot(sigma[middle, joint], course.slip.std())
+        soft[course.poses, joint] = course.poses != middle
+    told = [course for course in slipping if course.size > TOLD_RAD]
+    return replace(problem, sigma_label=sigma).softened(soft), (_note(problem, told),) if told else ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,14 +91,18 @@ class _Course:
         F = float((self.slip[self.used] ** 2).sum()) / (ORDERS * lasts * variance)
         return f_tail(ORDERS, dof, F) if dof > 0 else 1.0
 
-    def note(self, problem: Problem) -> Note:
-        """What there is to say of it."""
-        return Note(
-            "held_joint_slips",
-            f"the {NAMES[self.joint]} joint, said to be held in sweep {problem.held[self.poses[0], self.joint] + 1} "
-            f"(poses {self.poses.min()} to {self.poses.max()}), turns by {np.degrees(self.size):.2g} deg there; its "
-            "angle was taken as unknown",
-        )
+
+def _note(problem: Problem, slipping: list[_Course]) -> Note:
+    """What there is to say of them."""
+    worst = max(slipping, key=lambda course: course.size)
+    sweeps = sorted({int(problem.held[course.poses[0], course.joint]) + 1 for course in slipping})
+    named = f"sweep{'s' * (len(sweeps) > 1)} {', '.join(map(str, sweeps))}"
+    return Note(
+        "held_joint_slips",
+        f"a joint that is said to be held turns, or the C bends as if it did: in {named}, most the "
+        f"{NAMES[worst.joint]} joint at poses {worst.poses.min()} to {worst.poses.max()}, by "
+        f"{np.degrees(worst.size):.2g} deg; its angle was taken as unknown there",
+    )
 
 
 def _courses(problem: Problem, torus: Torus, used: np.ndarray) -> list[_Course]:

@@ -21,6 +21,8 @@ LEAST_GAP = 4.2
 of their own apart, as the halves of a sine do."""
 LEAST_BESIDE_M, LEAST_BESIDE_RAD = 0.5e-3, float(np.radians(0.1))
 """No two tools are mounted nearer to each other; groups that are sway with an angle by what bends or has play."""
+LEAST_REMOUNTED_M, LEAST_REMOUNTED_RAD = 2e-3, float(np.radians(0.3))
+"""A tracker that distorts sets the sensors of two placements apart by less; that is the effect `remounting`."""
 LEAST_SEEN = 0.6
 """Share of it that the poses show: their own angles take away two of its six components."""
 FAR_LESS = 1.5
@@ -30,6 +32,8 @@ FALSE_ALARM = 1e-6
 """Probability of naming a sensor of its own where there is none, under independent noise."""
 EDGES = 49
 """Poses between which a stretch is looked for."""
+AT_EDGES = 0.05
+"""Share of a placement by which a stretch that begins or ends near its edge may miss it."""
 VISIBLE = 0.5
 """Least displacement of a stretch's poses, in standard deviations of one pose, root mean square: less is a wander."""
 BETTER = 10.0
@@ -54,6 +58,9 @@ def two_sensors_of(
     `sensor_moved` between placements. ``numbers`` (n,) are the poses' among all."""
     if len(problem) < 2 * LEAST_POSES:
         return None
+    bent = Nuisance.of(rows_of(line, angles, problem, sigma, flex=True), problem)
+    if note := _between_placements(bent, torus):
+        return note
     rows = rows_of(line, angles, problem, sigma, flex=False)
     groups = _groups(rows)
     if groups is not None:
@@ -73,8 +80,7 @@ def two_sensors_of(
                 f"others (poses {_listed(numbers[few])}): two tools under one name, or one that slips to and fro; keep "
                 "one",
             )
-    bent = Nuisance.of(rows_of(line, angles, problem, sigma, flex=True), problem)
-    return _between_placements(bent, torus) or _for_a_stretch(bent, torus, numbers)
+    return _for_a_stretch(bent, torus, numbers)
 
 
 def _seen(rows: Array, delta: Array, sigma: tuple[float, float]) -> bool:
@@ -92,6 +98,9 @@ def _between_placements(nuisance: Nuisance, torus: Torus) -> Note | None:
         return None
     tests = [nuisance.displaced(placement == p) for p in range(count)]
     p = int(np.argmax([test.lowered for test in tests]))
+    shift, turn = tests[p].of_sensor(torus)
+    if shift < LEAST_REMOUNTED_M and turn < LEAST_REMOUNTED_RAD:
+        return None
     if count * tests[p].probability(nuisance.correlation_time(placement == p, tests[p])) > RARE:
         return None
     return Note(
@@ -113,6 +122,9 @@ def _for_a_stretch(nuisance: Nuisance, torus: Torus, numbers: np.ndarray) -> Not
     # the stretch and the rest change roles where it is the greater part
     size = min(last - first, n - (last - first))
     here = (np.arange(n) >= first) & (np.arange(n) < last)
+    share = np.array([here[nuisance.problem.placement == p].mean() for p in range(nuisance.problem.placements)])
+    if len(share) > 1 and (np.minimum(share, 1 - share) < AT_EDGES).all():
+        return None  # whole placements, which were judged before
     if found.lowered < size * VISIBLE**2 or found.probability(nuisance.correlation_time(here, found)) > FALSE_ALARM:
         return None
     if nuisance.stretch(edges, BASE)[2].lowered + BETTER > found.lowered:
