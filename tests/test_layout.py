@@ -58,7 +58,7 @@ PLAN = {
     "solvers.surface": "solvers.estimate solvers.likelihood solvers.problem solvers.se3 solvers.torus",
     "solvers.loci": "solvers.estimate solvers.pivot solvers.plugins solvers.problem solvers.se3 solvers.start "
     "solvers.told solvers.torus",
-    "solvers.effects": "solvers.estimate solvers.likelihood solvers.problem solvers.se3 solvers.torus",
+    "solvers.effects": "solvers.chain solvers.estimate solvers.likelihood solvers.problem solvers.se3 solvers.torus",
     "solvers.start": "solvers.problem solvers.se3 solvers.torus",
     "solvers.pivot": "solvers.likelihood solvers.problem solvers.se3",
     "solvers.told": "solvers.problem solvers.se3",

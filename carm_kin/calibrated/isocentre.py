@@ -9,6 +9,7 @@ offset of a C that bends. Without the circle it is what the deformation alone ma
 """
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -25,8 +26,10 @@ STEPS = 25
 """Angles of a joint at which the centre is looked at."""
 AXES = ("the angular axis", "across it", "outwards from the circle's centre at alpha = 0")
 """x, y and z of the torus frame."""
-ROUNDS = 20_000
-"""Of the search for the smallest ball: its radius is right to 1 in 10,000."""
+MOST_ROUNDS = 1000
+"""Of the search for the smallest ball, which takes about ten."""
+ROUNDING = 1e-9
+"""Relative to a ball's radius: points so little outside are held."""
 
 
 def isocentre(
@@ -83,16 +86,36 @@ def _ball(axis: str, torus: Torus, bent: Deformation, alpha: Array, beta: Array)
 
 
 def smallest_ball(points: Array) -> tuple[Array, float]:
-    """Centre (3,) and radius of the smallest ball that holds points (N, 3), by steps of 1 / k towards the farthest
-    (Badoiu and Clarkson 2003)."""
-    centre = points.mean(axis=0)
-    for k in range(1, ROUNDS):
-        off = points - centre
-        step = off[np.argmax((off**2).sum(axis=1))] / (k + 1)
-        centre = centre + step
-        if np.abs(step).max() < 1e-9:
+    """Centre (3,) and radius of the smallest ball that holds points (N, 3).
+
+    The farthest point outside joins those on which the ball of the others rests; each time the ball grows, so that it
+    ends with the smallest of all (Gärtner 1999).
+    """
+    core = points[:1]
+    for _ in range(MOST_ROUNDS):
+        centre, radius, core = _resting(core)
+        distance = np.linalg.norm(points - centre, axis=1)
+        far = int(np.argmax(distance))
+        if distance[far] <= radius * (1 + ROUNDING) + ROUNDING**2:
             break
-    return centre, float(np.sqrt(((points - centre) ** 2).sum(axis=1).max()))
+        core = np.concatenate([core, points[far : far + 1]])
+    return centre, float(distance[far])
+
+
+def _resting(core: Array) -> tuple[Array, float, Array]:
+    """Centre and radius of the smallest ball that holds at most five points, and those of them that lie on it."""
+    best = None
+    for size in range(1, min(len(core), 4) + 1):
+        for some in combinations(core, size):
+            S = np.array(some)
+            A = S[1:] - S[0]
+            centre = S[0] + np.linalg.pinv(2 * A) @ (A**2).sum(axis=1) if size > 1 else S[0]
+            radius = float(np.linalg.norm(S[0] - centre))
+            holds = np.linalg.norm(core - centre, axis=1).max() <= radius * (1 + ROUNDING) + ROUNDING**2
+            if holds and (best is None or radius < best[1]):
+                best = centre, radius, S
+    assert best is not None
+    return best
 
 
 def _farthest(points: Array) -> tuple[int, int]:

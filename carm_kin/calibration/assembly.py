@@ -27,7 +27,8 @@ from carm_kin.results.parts import (
 )
 from carm_kin.results.result import CalibrationResult
 from carm_kin.results.shown import FIXED_SIGMA
-from solvers.estimate import Correlation, Covariance, Deformed, Estimate, Note, Told
+from solvers.estimate import Correlation, Covariance, Deformed, EffectFound, Estimate, Note, Told
+from solvers.estimate import SigmaPart as EstimatedPart
 from solvers.problem import NoiseShape, Problem
 from solvers.se3 import Array
 from solvers.verdict.assess import Assessment
@@ -88,8 +89,8 @@ def result_of(
         ),
         refusal=assessment.refusal,
         provenance=provenance,
-        sigma_parts=_sigma_parts(estimate) if ok else (),
-        effects=tuple(SystematicEffect(e.name, e.position_m, e.rotation_rad) for e in estimate.effects) if ok else (),
+        sigma_parts=sigma_parts_of(estimate.sigma_parts) if ok else (),
+        effects=effects_found(estimate.effects) if ok else (),
         deformation=_deformation(estimate.deformed) if ok and estimate.deformed else None,
         angles_rad=assessment.angles if estimate.deformed is None else estimate.angles,
         told=told,
@@ -182,13 +183,19 @@ def sigma_of(covariance: Covariance | None, placements: int) -> Sigma:
     )
 
 
-def _sigma_parts(estimate: Estimate) -> tuple[SigmaPart, ...]:
+def sigma_parts_of(given: tuple[EstimatedPart, ...]) -> tuple[SigmaPart, ...]:
+    """The parts of the covariance as one-sigma values."""
     offset, parts = [f"offset_sensor_pivot_{axis}" for axis in "xyz"], []
-    for part in estimate.sigma_parts:
+    for part in given:
         known = part.covariance
         radius = float(known.sigma("major_radius")[0]) if "major_radius" in known.names else 0.0
         parts.append(SigmaPart(part.name, known.sigma(*offset), radius))
     return tuple(parts)
+
+
+def effects_found(given: tuple[EffectFound, ...]) -> tuple[SystematicEffect, ...]:
+    """The effects as a result has them."""
+    return tuple(SystematicEffect(e.name, e.position_m, e.rotation_rad) for e in given)
 
 
 def _deformation(found: Deformed) -> Deformation:

@@ -71,6 +71,7 @@ def _chain(recordings: Sequence[Recording], settings: Settings, command: str | N
         orbital=settings.orbital,
         sigma_reading_rad=None if reading_deg is None else radians(reading_deg),
         sigma_reading_m=None if reading_mm is None else reading_mm * 1e-3,
+        systematic=settings.systematic,
         folds=settings.cross_validate,
         command=command,
         **settings.noise,

@@ -153,8 +153,6 @@ class Settings:
         if self.known_length is not None:
             self._check_known_length(named("known_length"), name)
         effects_of(self.systematic)
-        if self.systematic != AUTO and name == CHAIN:
-            raise InputError(f"{named('systematic')}: a chain has no systematic effects")
         options_of(options_class(name), name, self.options)
         if self.urdf is not None:
             from carm_kin.machine.urdf import read_urdf

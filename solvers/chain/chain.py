@@ -17,7 +17,7 @@ from solvers.chain.machine import Machine, pose_residual
 from solvers.chain.noise import first_sigma, next_sigma, redundancy
 from solvers.chain.nominal import Nominal
 from solvers.chain.problem import ORIENTATIONS, POSITIONS, ChainProblem, Layout
-from solvers.estimate import Correlation
+from solvers.estimate import Correlation, EffectFound
 from solvers.kinematic import OUTLIER_PROBABILITY, SIGMA_FLOOR
 from solvers.likelihood.correlation import Stretches, correlation_of, with_correlation
 from solvers.se3 import Array, exp_se3
@@ -97,6 +97,10 @@ class ChainEstimate:
     """(N,)."""
     iterations: int
     converged: bool
+    parts: dict[str, Array] = field(default_factory=dict)
+    """(D, D) what every systematic effect adds to the covariance."""
+    effects: tuple[EffectFound, ...] = ()
+    """Those that the residuals show."""
 
 
 @dataclass(frozen=True, eq=False)

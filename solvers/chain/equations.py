@@ -6,7 +6,7 @@ Rows are of four kinds, each with a variance of its own: positions, orientations
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -129,6 +129,49 @@ def factors(
         triangle = np.asarray(np.linalg.qr(np.vstack([triangle, U]), mode="r"), dtype=float)
     rows.append(_spread(triangle, before, layout.size))
     return np.concatenate(rows), np.sqrt(length2)
+
+
+@dataclass(frozen=True, eq=False)
+class Beside:
+    """What all poses tell of the wanted unknowns and of other columns beside them."""
+
+    rows: Array
+    """(6, w, N) weighted rows [U Z y] of the positions and orientations, the poses' own values eliminated."""
+    readings: Array
+    """(w, w) moments of the rows of the readings."""
+    left: Array
+    """(2,) number of position and of orientation rows, less what the own values take."""
+
+
+def rows_beside(
+    machine: Machine,
+    values: Array,
+    problem: ChainProblem,
+    layout: Layout,
+    sigma: Array,
+    wanted: np.ndarray,
+    Z: Array,
+) -> Beside:
+    """The rows of the poses with the columns ``Z`` (N, 6, m), displacements of the sensor in its frame (m, rad), beside
+    the ``wanted`` (D,) unknowns."""
+    u, m = int(wanted.sum()), Z.shape[2]
+    place = np.cumsum(wanted) - 1
+    width = u + m + 1
+    rows, readings, left = np.zeros((6, width, len(problem))), np.zeros((width, width)), np.zeros(2)
+    weight = np.repeat(1 / sigma[[POSITIONS, ORIENTATIONS]], 3)
+    for block in _blocks(machine, values, problem, layout, sigma, wanted):
+        index = np.concatenate([place[block.columns], u + np.arange(m + 1)])
+        beside = np.zeros((*block.B.shape[:2], m))
+        beside[:, :6] = Z[block.poses] * weight[:, None]
+        B = np.concatenate([block.B[..., :-1], beside, -block.B[..., -1:]], axis=2)
+        inverse, _, U = replace(block, B=B).eliminated()
+        for r in range(6):
+            rows[r][np.ix_(index, block.poses)] = U[:, r].T
+        own = U[:, 6:].reshape(-1, len(index))
+        readings[np.ix_(index, index)] += own.T @ own
+        counts = _counts(block, inverse, np.ones(len(block.poses)))
+        left += counts[[POSITIONS, ORIENTATIONS]][:, [POSITIONS, ORIENTATIONS]].sum(axis=1)
+    return Beside(rows, readings, left)
 
 
 def _spread(rows: Array, columns: np.ndarray, size: int) -> Array:

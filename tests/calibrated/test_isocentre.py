@@ -47,6 +47,18 @@ def test_the_smallest_ball(points, radius):
     assert (np.linalg.norm(np.array(points) - centre, axis=1) <= found * (1 + 1e-9)).all()
 
 
+@pytest.mark.parametrize("dimensions", [1, 2, 3])
+def test_no_other_ball_is_smaller(dimensions):
+    """Of random points on a line, in a plane and in space: all are held, and no centre nearby holds them in less."""
+    rng = np.random.default_rng(dimensions)
+    for _ in range(20):
+        points = 1e-3 * rng.normal(size=(rng.integers(1, 200), 3)) * (np.arange(3) < dimensions)
+        centre, radius = smallest_ball(points)
+        assert np.linalg.norm(points - centre, axis=1).max() <= radius * (1 + 1e-9)
+        for step in rng.normal(size=(30, 3)):
+            assert np.linalg.norm(points - centre - 1e-3 * radius * step, axis=1).max() >= radius * (1 - 1e-9)
+
+
 def test_a_shift_along_the_orbital_axis(result):
     """At alpha it lies along Rx(alpha) y: the ball over alpha is that of a flat spiral, over beta a point."""
     slope = 1e-3

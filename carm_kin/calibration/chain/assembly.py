@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from carm_kin.calibration.assembly import conventions, noise_level, sigma_of
+from carm_kin.calibration.assembly import conventions, effects_found, noise_level, sigma_of, sigma_parts_of
 from carm_kin.calibration.chain import checks, numbers
 from carm_kin.calibration.chain.model import ChainModel
 from carm_kin.calibration.chain.problem import Gathered
@@ -151,7 +151,7 @@ def result_of_chain(
     URDF's own machine, its base and mounts fitted with the noise of the estimate."""
     problem, labels = gathered.problem, gathered.placements
     at = numbers.stations(problem, estimate, len(labels))
-    covariance = numbers.covariance(model, estimate, at)
+    covariance, parts = numbers.covariance(model, estimate, at)
     left = checks.unfreed(model, problem, estimate, limits)
     refusal = checks.refusal(model, problem, estimate, covariance, left, limits)
     used = int(estimate.used.sum())
@@ -198,6 +198,8 @@ def result_of_chain(
         warnings=(*done.warnings, *conventions(all(referenced), orbital_referenced)),
         sigma=sigma_of(covariance, len(labels)),
         covariance=covariance,
+        sigma_parts=sigma_parts_of(parts),
+        effects=effects_found(estimate.effects),
         angles_rad=_angles(model, problem, estimate, blank.recorded.left_out),
         chain=_chain(model, gathered, nominal, estimate, open_),
     )

@@ -14,6 +14,7 @@ from carm_kin.calibration.chain.model import ChainModel, chain_model
 from carm_kin.calibration.chain.problem import gather, sensor_links_of, sensor_numbers
 from carm_kin.calibration.chain.told import at_rest, untold
 from carm_kin.calibration.options import options_of
+from carm_kin.calibration.settings import AUTO, effects_of
 from carm_kin.errors import InputError, wrong_type
 from carm_kin.machine.chain import chain_of
 from carm_kin.machine.urdf import UrdfFile, as_urdf, listing
@@ -25,6 +26,7 @@ from carm_kin.steps import step
 from solvers.chain.chain import ChainEstimate, Free, Options, solve_chain
 from solvers.chain.problem import ChainProblem
 from solvers.chain.start import start_of
+from solvers.effects.of_chain import chain_systematic
 from solvers.estimate import Note
 from solvers.verdict.limits import Limits
 
@@ -75,6 +77,7 @@ def calibrate_chain(
     sigma_r_rad: float | None = None,
     sigma_reading_rad: float | None = None,
     sigma_reading_m: float | None = None,
+    systematic: str | Sequence[str] = AUTO,
     folds: int | None = None,
     limits: Limits = Limits(),
     command: str | None = None,
@@ -86,8 +89,9 @@ def calibrate_chain(
     The base in the world of every placement and the mount of every sensor are unknown; ``free`` says which numbers
     of the URDF are: a FreeJoints, or the joints whose origin is, such as ``"axes"`` or ``"angular, lift"``. A column
     ``sensor`` of a recording names the link that carries each pose's sensor, else ``sensor_link`` does. Noises (m,
-    rad; of the tracker an axis, of the joint readings) are estimated unless given; 0 takes the readings as exact. With
-    ``folds`` the result holds the held-out check. ``options`` are those of `solvers.chain.Options`. The result's
+    rad; of the tracker an axis, of the joint readings) are estimated unless given; 0 takes the readings as exact.
+    ``systematic`` are the effects for which the ± allows, as in `carm_kin.calibrate`: the tracker's field, and drift.
+    With ``folds`` the result holds the held-out check. ``options`` are those of `solvers.chain.Options`. The result's
     `chain` holds the joints; its other numbers are those of the first sensor's two axes. A refusal is a result, not an
     exception.
 
@@ -110,6 +114,9 @@ def calibrate_chain(
     estimate = wrong or fit(gathered.problem, model, unknown, chosen, limits)
     if isinstance(estimate, Note):
         return blank.refused(estimate, gathered.notes)
+    with step("look for systematic effects"):
+        found = chain_systematic(gathered.problem, estimate, effects_of(systematic))
+    estimate = found.allowed(estimate) if found else estimate
     nominal = nominal_fit(gathered.problem, model, estimate)
     result = result_of_chain(model, gathered, unknown, nominal, estimate, blank, limits)
     if folds is None or result.refusal:

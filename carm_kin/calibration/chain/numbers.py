@@ -10,7 +10,7 @@ from carm_kin.results.chain_result import JointChange, SensorGeometry
 from solvers.chain.chain import ChainEstimate, moved
 from solvers.chain.machine import Machine
 from solvers.chain.problem import ChainProblem
-from solvers.estimate import Covariance
+from solvers.estimate import Covariance, SigmaPart
 from solvers.se3 import Array, inverse, log_se3
 
 DELTA = 1e-6
@@ -36,8 +36,9 @@ def tori(model: ChainModel, machine: Machine, at: Array) -> Array:
     )
 
 
-def covariance(model: ChainModel, estimate: ChainEstimate, at: Array) -> Covariance:
-    """Of the first sensor's offset, axes, radii and centres, by central differences of the estimated unknowns."""
+def covariance(model: ChainModel, estimate: ChainEstimate, at: Array) -> tuple[Covariance, tuple[SigmaPart, ...]]:
+    """Of the first sensor's offset, axes, radii and centres, by central differences of the estimated unknowns; and the
+    parts of which it is made, if systematic effects are among them."""
 
     def numbers(machine: Machine) -> Array:
         g, T = geometry(model, machine, 0), tori(model, machine, at)
@@ -50,7 +51,14 @@ def covariance(model: ChainModel, estimate: ChainEstimate, at: Array) -> Covaria
     names += ["major_radius", "minor_radius", "axis_non_orthogonality", *(f"orbital_axis_sensor_{k}" for k in "xyz")]
     for p in range(len(at)):
         names += [f"torus_center_world[{p}]_{k}" for k in "xyz"] + [f"angular_axis_world[{p}]_{k}" for k in "xyz"]
-    return Covariance(tuple(names), _propagated(estimate, numbers))
+    index, J = _derivative(estimate, numbers)
+
+    def propagated(C: Array) -> Covariance:
+        return Covariance(tuple(names), J @ C[np.ix_(index, index)] @ J.T)
+
+    noise = estimate.covariance - sum(estimate.parts.values())
+    parts = {"noise": noise, **estimate.parts} if estimate.parts else {}
+    return propagated(estimate.covariance), tuple(SigmaPart(name, propagated(C)) for name, C in parts.items())
 
 
 def sensor_geometry(model: ChainModel, estimate: ChainEstimate, sensor: int) -> SensorGeometry:
@@ -142,6 +150,12 @@ def _owners(model: ChainModel, estimate: ChainEstimate, placements: tuple[str, .
 
 def _propagated(estimate: ChainEstimate, numbers: Callable[[Machine], Array]) -> Array:
     """Covariance (K, K) of a function of the machine, which the unknown held values are no part of."""
+    index, J = _derivative(estimate, numbers)
+    return J @ estimate.covariance[np.ix_(index, index)] @ J.T
+
+
+def _derivative(estimate: ChainEstimate, numbers: Callable[[Machine], Array]) -> tuple[np.ndarray, Array]:
+    """The estimated unknowns (k,) and the derivative (K, k) of a function of the machine by them."""
     index = np.flatnonzero(estimate.active[: estimate.layout.constant(0)])
     columns = []
     for i in index:
@@ -149,5 +163,4 @@ def _propagated(estimate: ChainEstimate, numbers: Callable[[Machine], Array]) ->
         step[i] = DELTA
         ahead, behind = (numbers(moved(estimate.machine, estimate.layout, s)) for s in (step, -step))
         columns.append((ahead - behind) / (2 * DELTA))
-    J = np.stack(columns, axis=1)
-    return J @ estimate.covariance[np.ix_(index, index)] @ J.T
+    return index, np.stack(columns, axis=1)
