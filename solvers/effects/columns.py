@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from solvers.effects.blocks import Blocks
-from solvers.effects.process import DRIFT_ORDERS, Process, grid, legendre
+from solvers.effects.process import DRIFT_ORDERS, Process, grid, legendre, over_places
 from solvers.likelihood.linearise import Linearisation, linearise
 from solvers.problem import Problem
 from solvers.se3 import Array
@@ -22,8 +22,6 @@ DEFORMATION_LENGTH = 1.5
 """Of the deformation over either angle, rad."""
 STEPS = 9
 """Of a grid over an angle's range."""
-NODES = 120
-"""Places of the sensor by which a function of the place is described."""
 PLAY_RAD = float(np.radians(0.5))
 """Angle within which a reversal takes up the play."""
 FASTEST_STEP_S = 0.1
@@ -90,9 +88,7 @@ class Scene:
     @cached_property
     def over_places(self) -> Array:
         """(K, B) basis of a function of the predicted place of the sensor."""
-        p = self.poses[:, :3, 3]
-        some = np.linspace(0, len(p) - 1, min(len(p), NODES)).astype(int)
-        return Process.over(p[some], self.field_length).basis(p)
+        return over_places(self.poses[:, :3, 3], self.field_length)
 
     def clock(self, here: np.ndarray) -> Array:
         """Time of some of the blocks, or their number."""

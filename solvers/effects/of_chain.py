@@ -13,7 +13,7 @@ from solvers.chain.equations import rows_beside
 from solvers.chain.problem import ORIENTATIONS, POSITIONS, ChainProblem
 from solvers.effects.blocks import means, starts
 from solvers.effects.components import Components, Group
-from solvers.effects.process import DRIFT_ORDERS, Process, legendre
+from solvers.effects.process import DRIFT_ORDERS, centred, legendre, over_places
 from solvers.effects.rows import Rows
 from solvers.effects.variance import Mixed
 from solvers.estimate import EffectFound
@@ -22,8 +22,6 @@ from solvers.se3 import Array
 
 LENGTH_M = 0.5
 """Of functions of the place."""
-NODES = 120
-"""Places of the sensor by which a function of the place is described."""
 LEAST_BLOCKS = 40
 """Fewer poses tell nothing of effects beside the unknowns of a chain."""
 MOST_POSES = 3000
@@ -98,7 +96,7 @@ def chain_systematic(
 def _columns(problem: ChainProblem, effects: tuple[str, ...]) -> tuple[tuple[Group, ...], np.ndarray, Array]:
     """The groups, that of each column, and the displacements (N, 6, m) of the sensor in its own frame."""
     n, R = len(problem), np.swapaxes(problem.T_world_sensor[:, :3, :3], 1, 2)
-    over = _over_places(problem.T_world_sensor[:, :3, 3])
+    over = centred(over_places(problem.T_world_sensor[:, :3, 3], LENGTH_M))
     own = np.broadcast_to(np.eye(3), R.shape)
     every = {
         "field": {"position": _along(over, R), "rotation": _along(over, R)},
@@ -114,13 +112,6 @@ def _columns(problem: ChainProblem, effects: tuple[str, ...]) -> tuple[tuple[Gro
             groups.append(Group(name, kind))
             columns.append(rows)
     return tuple(groups), np.array(group, dtype=int), np.concatenate(columns, axis=2)
-
-
-def _over_places(p: Array) -> Array:
-    """(K, N) a function of the place, of mean zero over the poses."""
-    some = np.linspace(0, len(p) - 1, min(len(p), NODES)).astype(int)
-    basis = Process.over(p[some], LENGTH_M).basis(p)
-    return basis - basis.mean(axis=1, keepdims=True)
 
 
 def _over_time(problem: ChainProblem) -> Array:

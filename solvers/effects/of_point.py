@@ -15,7 +15,7 @@ import numpy as np
 
 from solvers.effects.blocks import means, starts
 from solvers.effects.components import Components, Group
-from solvers.effects.process import DRIFT_ORDERS, Process, legendre
+from solvers.effects.process import DRIFT_ORDERS, centred, legendre, over_places
 from solvers.effects.rows import Rows
 from solvers.effects.variance import Mixed
 from solvers.estimate import Covariance, EffectFound, Estimate, SigmaPart, Told
@@ -25,8 +25,6 @@ from solvers.se3 import Array, skew
 
 LENGTHS = (0.5, 0.3, 0.8)
 """Of functions of the place, m."""
-NODES = 120
-"""Places of the sensor by which a function of the place is described."""
 LEAST_BLOCKS = 20
 """Fewer poses tell nothing of effects."""
 MOST = 5.0
@@ -72,11 +70,8 @@ class PointScene:
 
     @cached_property
     def over_places(self) -> Array:
-        """(K, B) basis of a function of the place of the sensor."""
-        p = self.problem.p_world_sensor[self.middle]
-        some = np.linspace(0, len(p) - 1, min(len(p), NODES)).astype(int)
-        basis = Process.over(p[some], self.length).basis(p)
-        return basis - basis.mean(axis=1, keepdims=True)
+        """(K, B) basis of a function of the place of the sensor, of mean zero over the poses."""
+        return centred(over_places(self.problem.p_world_sensor[self.middle], self.length))
 
     @cached_property
     def R(self) -> Array:

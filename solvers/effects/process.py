@@ -9,6 +9,8 @@ from solvers.se3 import Array
 
 LEAST_VARIANCE = 1e-3
 """Share of the greatest eigenvalue below which an eigenfunction is left out."""
+NODES = 120
+"""Places by which a function of the place is described."""
 DRIFT_ORDERS = 4
 """Of the polynomials in time of what creeps."""
 
@@ -58,6 +60,17 @@ def grid(low: Array, high: Array, steps: int) -> Array:
     """(steps ** d, d) points that fill the box from ``low`` (d,) to ``high`` (d,) evenly."""
     axes = np.linspace(low, high, steps).T
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
+
+
+def over_places(p: Array, length: float) -> Array:
+    """(K, N) basis of a function of the places p (N, 3) with the length l, m."""
+    some = np.linspace(0, len(p) - 1, min(len(p), NODES)).astype(int)
+    return Process.over(p[some], length).basis(p)
+
+
+def centred(basis: Array) -> Array:
+    """The ``basis`` (K, N) less its mean over the poses."""
+    return basis - basis.mean(axis=1, keepdims=True)
 
 
 def legendre(clock: Array, orders: int) -> Array:
