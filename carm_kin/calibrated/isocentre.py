@@ -91,15 +91,14 @@ def smallest_ball(points: Array) -> tuple[Array, float]:
     The farthest point outside joins those on which the ball of the others rests; each time the ball grows, so that it
     ends with the smallest of all (Gärtner 1999).
     """
-    core = points[:1]
+    centre, radius, core = _resting(points[:1])
     for _ in range(MOST_ROUNDS):
-        centre, radius, core = _resting(core)
         distance = np.linalg.norm(points - centre, axis=1)
         far = int(np.argmax(distance))
         if distance[far] <= radius * (1 + ROUNDING) + ROUNDING**2:
             break
-        core = np.concatenate([core, points[far : far + 1]])
-    return centre, float(distance[far])
+        centre, radius, core = _resting(np.concatenate([core, points[far : far + 1]]))
+    return centre, float(np.linalg.norm(points - centre, axis=1).max())
 
 
 def _resting(core: Array) -> tuple[Array, float, Array]:
