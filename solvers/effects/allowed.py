@@ -7,8 +7,8 @@ import numpy as np
 from solvers.effects.deformed import deformed
 from solvers.effects.of_point import PointSystematic
 from solvers.effects.systematic import Systematic
-from solvers.estimate import Covariance, EffectFound, Estimate, SigmaPart
-from solvers.likelihood.covariance import marginal_covariance, reported_jacobian
+from solvers.estimate import Covariance, Estimate, SigmaPart
+from solvers.likelihood.covariance import reported_jacobian
 from solvers.likelihood.elimination import normal_equations
 from solvers.likelihood.linearise import AngleModel, retract
 from solvers.problem import Problem
@@ -48,11 +48,10 @@ def allowing_for(estimate: Estimate, problem: Problem, found: Systematic | Point
 
 def _widened(estimate: Estimate, torus: Torus, stated: Covariance, found: Systematic) -> Estimate:
     """The same estimate with Cov + B Λ Bᵀ, B = C Jᵀ Z and C = inv(Jᵀ J) of noise that does not last."""
-    J, u = _reported(torus, found), found.model.unknowns
-    moments = found.rows.model.moments.sum(axis=0)
-    C = marginal_covariance(moments[:u, :u] + found.model.fixed[:u, :u], np.ones(u, dtype=bool))
-    shares = found.shares(J @ C[: J.shape[1]] @ moments[:u, u:-1])
-    white = J @ C[: J.shape[1], : J.shape[1]] @ J.T
+    J = _reported(torus, found)
+    k = J.shape[1]
+    shares = found.shares(J @ found.drawn[:k])
+    white = J @ found.plain[:k, :k] @ J.T
     parts = {"noise": white, "correlation": stated.matrix - white, **shares}
     total = stated.matrix + sum(shares.values())
     return _with_parts(estimate, found, Covariance(stated.names, total), parts)
@@ -91,7 +90,7 @@ def _with_parts(estimate: Estimate, found: Systematic, covariance: Covariance, p
         estimate,
         covariance=covariance,
         sigma_parts=tuple(SigmaPart(name, Covariance(covariance.names, matrix)) for name, matrix in parts.items()),
-        effects=tuple(EffectFound(name, *found.amplitude(name)) for name in found.names),
+        effects=tuple(map(found.effect, found.names)),
     )
 
 

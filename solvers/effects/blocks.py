@@ -1,6 +1,7 @@
 """The linearised likelihood of stretches of neighbouring poses: as much as slow effects need, and no more."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -17,8 +18,49 @@ MOST_BLOCKS = 480
 
 
 @dataclass(frozen=True, eq=False)
-class Blocks:
-    """B stretches of neighbouring poses of one sweep, each as one pose of the mean of their rows.
+class Cut:
+    """N poses cut into B stretches of neighbours, or blocks, about `MOST_BLOCKS` of them."""
+
+    order: np.ndarray
+    """(N,) the poses as they follow one another."""
+    number: np.ndarray
+    """(N,) of the contiguous stretch of each pose of `order`; it never falls."""
+    first: np.ndarray
+    """(B,) where each block begins in `order`."""
+
+    @staticmethod
+    def of(stretches: Stretches) -> "Cut":
+        """Blocks of one size, the last of a stretch less."""
+        n = len(stretches.order)
+        size = -(-n // MOST_BLOCKS)
+        begins = np.concatenate([[True], np.diff(stretches.number) > 0])
+        start = np.flatnonzero(begins)
+        within = np.arange(n) - start[np.cumsum(begins) - 1]
+        return Cut(stretches.order, stretches.number, np.flatnonzero(within % size == 0))
+
+    @cached_property
+    def count(self) -> np.ndarray:
+        """(B,) number of poses."""
+        return np.diff(np.append(self.first, len(self.order)))
+
+    @cached_property
+    def middle(self) -> np.ndarray:
+        """(B,) the pose in the middle of each block."""
+        return self.order[self.first + self.count // 2]
+
+    @property
+    def stretch(self) -> np.ndarray:
+        """(B,) number of the contiguous stretch of poses in which it lies; it never falls."""
+        return self.number[self.first]
+
+    def mean(self, values: Array) -> Array:
+        """(..., B) means over the blocks of the values (..., N) of all poses."""
+        return np.add.reduceat(values[..., self.order], self.first, axis=-1) / self.count
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks(Cut):
+    """Each block of poses of one sweep as one pose of the mean of their rows.
 
     The rows are those of the weighted linearisation with the poses' own angles eliminated, times the root of the
     number of poses: the variance of white noise is then 1.
@@ -26,14 +68,6 @@ class Blocks:
 
     active: np.ndarray
     """(D,) the unknowns of the chain that are determined."""
-    middle: np.ndarray
-    """(B,) the pose in the middle of each block."""
-    stretch: np.ndarray
-    """(B,) number of the contiguous stretch of poses in which it lies; it never falls."""
-    first: np.ndarray
-    """(B,) where each block begins in `order`."""
-    order: np.ndarray
-    """(N,) the poses as they follow one another."""
     by_unknown: Array
     """(6 + 2, u, B) derivative of the residual by the unknowns: the machine's active ones, then the held angles."""
     residual: Array
@@ -46,7 +80,7 @@ class Blocks:
     """(u + 1, u + 1) information of the labels of held angles on the unknowns, less their gradient, and their cost."""
 
     @staticmethod
-    def of(problem: Problem, torus: Torus, angles: Array, sigma: tuple[float, float], active: np.ndarray) -> "Blocks":
+    def at(problem: Problem, torus: Torus, angles: Array, sigma: tuple[float, float], active: np.ndarray) -> "Blocks":
         """Of all poses at the estimate ``torus``, ``angles`` (2, N), with its noise (m, rad) and ``active`` (D,)
         unknowns."""
         model = AngleModel.of(problem)
@@ -58,25 +92,21 @@ class Blocks:
         absorbed = np.stack([g * a + 2 * h * b + k * d for a, b, d in (angle.position, angle.rotation)])
         B = np.concatenate([angle.left_of(B, A), angle.readings(model.precision, error)])
 
-        stretches = Stretches.of(problem)
-        first = starts(stretches)
-        count = np.diff(np.append(first, len(problem)))
-        middle = stretches.order[first + count // 2]
-        B = means(B, stretches.order, first, count) * np.sqrt(count)
-        absorbed = means(absorbed, stretches.order, first, count).sum(axis=1)
-        sweep = np.maximum.reduceat(model.sweep[stretches.order], first)
+        cut = Cut.of(Stretches.of(problem))
+        middle, root = cut.middle, np.sqrt(cut.count)
+        B = cut.mean(B) * root
+        sweep = np.maximum.reduceat(model.sweep[cut.order], cut.first)
         by_unknown = _among_all(B, problem.placement[middle], sweep, model)[:, _kept(active, model)]
+        weights = _weights(line, model, sigma, middle)
         return Blocks(
+            cut.order,
+            cut.number,
+            cut.first,
             active=active,
-            middle=middle,
-            stretch=stretches.number[first],
-            first=first,
-            order=stretches.order,
             by_unknown=by_unknown,
             residual=B[:, RESIDUAL],
-            whiten=_projected(A[..., middle], angle.inverse[:, middle], _weights(line, model, sigma, middle))
-            * np.sqrt(count),
-            rows=3 * len(first) - absorbed,
+            whiten=_projected(A[..., middle], angle.inverse[:, middle], weights) * root,
+            rows=3 * len(cut.first) - cut.mean(absorbed).sum(axis=1),
             fixed=_labels(model, angles, active),
         )
 
@@ -85,25 +115,6 @@ class Blocks:
         """Where each contiguous stretch of poses stands in `order`."""
         edges = self.first[np.flatnonzero(np.diff(self.stretch)) + 1]
         return [slice(a, b) for a, b in zip([0, *edges], [*edges, len(self.order)], strict=True)]
-
-    def mean(self, values: Array) -> Array:
-        """(..., B) means over the blocks of the values (..., N) of all poses."""
-        return means(values, self.order, self.first, np.diff(np.append(self.first, len(self.order))))
-
-
-def starts(stretches: Stretches) -> np.ndarray:
-    """Where each of about `MOST_BLOCKS` blocks begins among the ordered poses."""
-    n = len(stretches.order)
-    size = -(-n // MOST_BLOCKS)
-    begins = np.concatenate([[True], np.diff(stretches.number) > 0])
-    start = np.flatnonzero(begins)
-    within = np.arange(n) - start[np.cumsum(begins) - 1]
-    return np.flatnonzero(within % size == 0)
-
-
-def means(values: Array, order: np.ndarray, first: np.ndarray, count: np.ndarray) -> Array:
-    """(..., B) of the values (..., N) of poses in this ``order``, over blocks of so many that begin at ``first``."""
-    return np.add.reduceat(values[..., order], first, axis=-1) / count
 
 
 def _among_all(B: Array, placement: np.ndarray, sweep: np.ndarray, model: AngleModel) -> Array:

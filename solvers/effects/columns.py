@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from solvers.effects.blocks import Blocks
-from solvers.effects.process import DRIFT_ORDERS, Process, grid, legendre, over_places
+from solvers.effects.process import DRIFT_ORDERS, Process, grid, legendre, over_places, play
 from solvers.likelihood.linearise import Linearisation, linearise
 from solvers.problem import Problem
 from solvers.se3 import Array
@@ -134,7 +134,7 @@ def backlash(scene: Scene) -> Columns | None:
     order = scene.blocks.order
     basis = np.empty_like(scene.angles)
     for joint, angle in enumerate(scene.angles):
-        basis[joint, order] = _play(angle[order] / (0.5 * PLAY_RAD))
+        basis[joint, order] = play(angle[order] / (0.5 * PLAY_RAD))
     return of_twist(scene.blocks.mean(basis))
 
 
@@ -213,15 +213,6 @@ def of_twist(basis: Array) -> Columns:
     for axis in range(6):
         moved[axis, :, axis] = basis
     return Columns(moved.reshape(6, -1, n), TWIST * K)
-
-
-def _play(way: Array) -> Array:
-    """(n,) the play operator: follows ``way`` within -1 and 1."""
-    state, states = 0.0, np.empty(len(way))
-    for k, step in enumerate(np.diff(way, prepend=way[0]).tolist()):
-        state = min(1.0, max(-1.0, state + step))
-        states[k] = state
-    return states
 
 
 def _speeds(scene: Scene) -> Array:

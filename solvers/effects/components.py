@@ -6,12 +6,14 @@ gain no more than chance: docs/estimation.md, "Systematic effects".
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 
 from solvers.effects.rows import Rows
 from solvers.effects.variance import Mixed, most_likely
+from solvers.likelihood.covariance import marginal_covariance
 from solvers.se3 import Array
 
 ASKED = 1.0
@@ -101,6 +103,30 @@ class Components:
     def columns_of(self, name: str) -> np.ndarray:
         """(m,) mask of the columns of an effect."""
         return np.array([group.effect == name for group in self.groups])[self.model.group]
+
+    @cached_property
+    def plain(self) -> Array:
+        """(u, u) covariance of the unknowns under noise alone, white and of unit variance."""
+        u = self.model.unknowns
+        information = self.rows.model.moments.sum(axis=0)[:u, :u] + self.model.fixed[:u, :u]
+        return marginal_covariance(information, np.ones(u, dtype=bool))
+
+    @property
+    def drawn(self) -> Array:
+        """(u, m) C Uᵀ Z: by how much an estimate without effects is off by unit coefficients."""
+        u = self.model.unknowns
+        return self.plain @ self.rows.model.moments.sum(axis=0)[:u, u:-1]
+
+    def capped(self: Found, most: Array) -> Found:
+        """The same with no variance above ``most`` (G,)."""
+        return replace(self, model=self.model.at(np.minimum(self.model.variance, most), self.model.noise))
+
+    def rms(self, name: str, columns: Array) -> tuple[float, ...]:
+        """Root mean square of what an effect is predicted to displace, of three rows at a time of its ``columns``
+        (3 k, m, B), displacements by unit coefficients."""
+        moved = np.einsum("imb,m->ib", columns, self.model.coefficients[self.columns_of(name)])
+        squares = (moved.reshape(-1, 3, moved.shape[1]) ** 2).sum(axis=1).mean(axis=1)
+        return tuple(np.sqrt(squares).tolist())
 
     def shares(self, gain: Array) -> dict[str, Array]:
         """G Z_g λ_g Z_gᵀ Gᵀ (K, K) of every effect, from ``gain`` = G Z (K, m)."""

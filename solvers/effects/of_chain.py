@@ -11,9 +11,9 @@ import numpy as np
 from solvers.chain.chain import ChainEstimate
 from solvers.chain.equations import rows_beside
 from solvers.chain.problem import ORIENTATIONS, POSITIONS, ChainProblem
-from solvers.effects.blocks import means, starts
+from solvers.effects.blocks import Cut
 from solvers.effects.components import Components, Group
-from solvers.effects.process import DRIFT_ORDERS, centred, legendre, over_places
+from solvers.effects.process import centred, over_places, over_times
 from solvers.effects.rows import Rows
 from solvers.effects.variance import Mixed
 from solvers.estimate import EffectFound
@@ -45,20 +45,16 @@ class ChainSystematic(Components):
 
     def allowed(self, estimate: ChainEstimate) -> ChainEstimate:
         """The estimate with the covariance that the effects give it, by parts."""
-        u = self.model.unknowns
-        moments = self.rows.model.moments.sum(axis=0)
-        information = moments[:u, :u] + self.model.fixed[:u, :u]
         parts = {}
-        for name, share in self.shares(np.linalg.solve(information, moments[:u, u:-1])).items():
+        for name, share in self.shares(self.drawn).items():
             parts[name] = np.zeros_like(estimate.covariance)
             parts[name][np.ix_(self.active, self.active)] = share
         covariance = estimate.covariance + sum(parts.values())
-        return replace(estimate, covariance=covariance, parts=parts, effects=tuple(map(self._found, self.names)))
+        return replace(estimate, covariance=covariance, parts=parts, effects=tuple(map(self.effect, self.names)))
 
-    def _found(self, name: str) -> EffectFound:
-        own = self.columns_of(name)
-        moved = np.einsum("imb,m->ib", self.displacement[:, own], self.model.coefficients[own])
-        position, rotation = (float((part**2).sum(axis=0).mean() ** 0.5) for part in (moved[:3], moved[3:]))
+    def effect(self, name: str) -> EffectFound:
+        """What an effect does to the sensor, as it is predicted."""
+        position, rotation = self.rms(name, self.displacement[:, self.columns_of(name)])
         return EffectFound(name, position, rotation)
 
 
@@ -69,28 +65,25 @@ def chain_systematic(
     used = np.flatnonzero(estimate.used)
     some = used[:: max(1, -(-len(used) // MOST_POSES))]
     part = problem.select(some)
-    order = Stretches.within([part.placement, part.sensor, *part.held.T], part.time_s)
-    first = starts(order)
+    cut = Cut.of(Stretches.within([part.placement, part.sensor, *part.held.T], part.time_s))
     sigma = estimate.sigma[[POSITIONS, ORIENTATIONS]]
-    if len(first) < LEAST_BLOCKS or sigma.max() < EXACT:
+    if len(cut.first) < LEAST_BLOCKS or sigma.max() < EXACT:
         return None
     groups, group, Z = _columns(part, effects)
-    count = np.diff(np.append(first, len(part)))
     at = estimate.machine, estimate.values[some]
     found = rows_beside(*at, part, estimate.layout, estimate.sigma, estimate.active, Z)
-    F = means(found.rows, order.order, first, count) * np.sqrt(count)
+    F = cut.mean(found.rows) * np.sqrt(cut.count)
     u, width = int(estimate.active.sum()), F.shape[1]
     fixed = found.readings
     fixed[:u, :u] += np.diag(estimate.precision[estimate.active])
-    rows = np.maximum(found.left * len(first) / len(part), 1.0)
+    rows = np.maximum(found.left * len(cut.first) / len(part), 1.0)
     model = Mixed(np.zeros((2, width, width)), fixed, rows, u, group, np.zeros(len(groups)), np.ones(2))
-    best = Components.of(groups, Rows.of(F, order.number[first], model)).pruned()
+    best = Components.of(groups, Rows.of(F, cut.stretch, model)).pruned()
     residual = estimate.residual[some]
     size = [float(np.sqrt((residual[:, k] ** 2).mean())) for k in (slice(0, 3), slice(3, 6))]
     most = np.array([(MOST * size[KINDS.index(one.kind)]) ** 2 for one in groups])
-    capped = best.model.at(np.minimum(best.model.variance, most), best.model.noise)
-    moved = means(np.moveaxis(Z, 0, -1), order.order, first, count)
-    return ChainSystematic(groups, best.rows, capped, best.rho, moved, estimate.active)
+    moved = cut.mean(np.moveaxis(Z, 0, -1))
+    return ChainSystematic(groups, best.rows, best.model, best.rho, moved, estimate.active).capped(most)
 
 
 def _columns(problem: ChainProblem, effects: tuple[str, ...]) -> tuple[tuple[Group, ...], np.ndarray, Array]:
@@ -101,7 +94,7 @@ def _columns(problem: ChainProblem, effects: tuple[str, ...]) -> tuple[tuple[Gro
     every = {
         "field": {"position": _along(over, R), "rotation": _along(over, R)},
         "marker": {"rotation": _along(over, own)},
-        "drift": {"position": _along(_over_time(problem), R)},
+        "drift": {"position": _along(over_times(problem.placement, problem.time_s), R)},
     }
     groups, group, columns = [], [], [np.zeros((n, 6, 0))]
     for name in effects:
@@ -112,17 +105,6 @@ def _columns(problem: ChainProblem, effects: tuple[str, ...]) -> tuple[tuple[Gro
             groups.append(Group(name, kind))
             columns.append(rows)
     return tuple(groups), np.array(group, dtype=int), np.concatenate(columns, axis=2)
-
-
-def _over_time(problem: ChainProblem) -> Array:
-    """(K, N) polynomials of time in every placement."""
-    P, clock = int(problem.placement.max()) + 1, problem.time_s
-    waves = np.zeros((P, DRIFT_ORDERS, len(problem)))
-    for p in range(P):
-        here = np.flatnonzero(problem.placement == p)
-        if here.size:
-            waves[p][:, here] = legendre(here.astype(float) if clock is None else clock[here], DRIFT_ORDERS)
-    return waves.reshape(-1, len(problem))
 
 
 def _along(basis: Array, directions: Array) -> Array:

@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from solvers.effects.blocks import means, starts
+from solvers.effects.blocks import Cut
 from solvers.effects.components import Components, Group
-from solvers.effects.process import DRIFT_ORDERS, centred, legendre, over_places
+from solvers.effects.process import centred, over_places, over_times
 from solvers.effects.rows import Rows
 from solvers.effects.variance import Mixed
 from solvers.estimate import Covariance, EffectFound, Estimate, SigmaPart, Told
@@ -45,38 +45,19 @@ class PointScene:
     """Of functions of the place, m."""
 
     @cached_property
-    def order(self) -> Stretches:
-        """The poses as they follow one another."""
-        return Stretches.of(self.problem)
-
-    @cached_property
-    def first(self) -> np.ndarray:
-        """(B,) where each block begins."""
-        return starts(self.order)
-
-    @cached_property
-    def count(self) -> np.ndarray:
-        """(B,) number of poses."""
-        return np.diff(np.append(self.first, len(self.order.order)))
-
-    def mean(self, values: Array) -> Array:
-        """(..., B) of the values (..., N) of all poses."""
-        return means(values, self.order.order, self.first, self.count)
-
-    @cached_property
-    def middle(self) -> np.ndarray:
-        """(B,) the pose in the middle of each block."""
-        return self.order.order[self.first + self.count // 2]
+    def cut(self) -> Cut:
+        """The poses in blocks."""
+        return Cut.of(Stretches.of(self.problem))
 
     @cached_property
     def over_places(self) -> Array:
         """(K, B) basis of a function of the place of the sensor, of mean zero over the poses."""
-        return centred(over_places(self.problem.p_world_sensor[self.middle], self.length))
+        return centred(over_places(self.problem.p_world_sensor[self.cut.middle], self.length))
 
     @cached_property
     def R(self) -> Array:
         """(B, 3, 3)."""
-        return self.problem.rotations[self.middle]
+        return self.problem.rotations[self.cut.middle]
 
     @cached_property
     def by_turn(self) -> Array:
@@ -86,7 +67,7 @@ class PointScene:
     @property
     def every_way(self) -> Array:
         """(3, 3, B) displacement of the tip along the axes of the world."""
-        return np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(self.first)))
+        return np.broadcast_to(np.eye(3)[:, :, None], (3, 3, len(self.cut.first)))
 
 
 Effect = Callable[[PointScene], dict[str, Array] | None]
@@ -111,18 +92,14 @@ def marker(scene: PointScene) -> dict[str, Array]:
 
 def drift(scene: PointScene) -> dict[str, Array]:
     """What the point stands on creeps as a polynomial of time, in every placement."""
-    placement, P = scene.problem.placement[scene.middle], scene.problem.placements
-    clock = scene.problem.time_s
-    waves = np.zeros((P, DRIFT_ORDERS, len(placement)))
-    for p in range(P):
-        here = np.flatnonzero(placement == p)
-        waves[p][:, here] = legendre(here.astype(float) if clock is None else clock[scene.middle[here]], DRIFT_ORDERS)
-    return {"position": _along(waves.reshape(-1, len(placement)), scene.every_way)}
+    middle, clock = scene.cut.middle, scene.problem.time_s
+    waves = over_times(scene.problem.placement[middle], None if clock is None else clock[middle])
+    return {"position": _along(waves, scene.every_way)}
 
 
 def remounting(scene: PointScene) -> dict[str, Array] | None:
     """The sensor sits differently on the pointer in every placement."""
-    placement, P = scene.problem.placement[scene.middle], scene.problem.placements
+    placement, P = scene.problem.placement[scene.cut.middle], scene.problem.placements
     if P < 2:
         return None
     return {"position": _along(np.eye(P)[placement].T, np.moveaxis(scene.R, 0, -1))}
@@ -147,13 +124,10 @@ class PointSystematic(Components):
 
     def allowed(self, estimate: Estimate) -> Estimate:
         """The estimate with the covariance that the effects give it, by parts."""
-        u = self.model.unknowns
-        moments = self.rows.model.moments.sum(axis=0)
-        gain = np.linalg.solve(moments[:u, :u], moments[:u, u:-1])
-        shares = self.shares(gain)
-        told = _widened(estimate.told, sum(shares.values()))
+        u, shares = self.model.unknowns, self.shares(self.drawn)
+        told, effects = _widened(estimate.told, sum(shares.values())), tuple(map(self.effect, self.names))
         if estimate.covariance is None or not shares:
-            return replace(estimate, told=told, effects=self._found())
+            return replace(estimate, told=told, effects=effects)
         stated, K = estimate.covariance, len(self.directions)
         J = np.zeros((len(stated.names), u))
         J[:3, :K] = self.directions.T
@@ -161,16 +135,12 @@ class PointSystematic(Components):
         parts = {"noise": stated.matrix, **{name: J @ share @ J.T for name, share in shares.items()}}
         covariance = Covariance(stated.names, np.sum([*parts.values()], axis=0))
         by_part = tuple(SigmaPart(name, Covariance(stated.names, part)) for name, part in parts.items())
-        return replace(estimate, told=told, covariance=covariance, sigma_parts=by_part, effects=self._found())
+        return replace(estimate, told=told, covariance=covariance, sigma_parts=by_part, effects=effects)
 
-    def _found(self) -> tuple[EffectFound, ...]:
-        """What each does to the tip, root mean square."""
-        found = []
-        for name in self.names:
-            own = self.columns_of(name)
-            moved = np.einsum("imb,m->ib", self.displacement[:, own], self.model.coefficients[own])
-            found.append(EffectFound(name, float((moved**2).sum(axis=0).mean() ** 0.5), 0.0))
-        return tuple(found)
+    def effect(self, name: str) -> EffectFound:
+        """What an effect does to the tip, as it is predicted."""
+        (moved,) = self.rms(name, self.displacement[:, self.columns_of(name)])
+        return EffectFound(name, moved, 0.0)
 
 
 def _widened(told: Told | None, added: Array | int) -> Told | None:
@@ -186,13 +156,13 @@ def point_systematic(
     ``directions`` (K, 3), leaves; None where the poses are too few or exact."""
     sigma = float(np.sqrt((residual**2).mean()))
     scenes = [PointScene(problem, t, length) for length in LENGTHS]
-    if len(scenes[0].first) < LEAST_BLOCKS or sigma < EXACT_M:
+    if len(scenes[0].cut.first) < LEAST_BLOCKS or sigma < EXACT_M:
         return None
     found = [_in_scene(scene, directions, residual, sigma, effects) for scene in scenes]
     best = max(found, key=lambda one: one.model.log_likelihood).pruned()
     lever = {"position": 1.0, "rotation": max(float(np.linalg.norm(t)), EXACT_M)}
     most = np.array([(MOST * sigma / lever[group.kind]) ** 2 for group in best.groups])
-    return replace(best, model=best.model.at(np.minimum(best.model.variance, most), best.model.noise))
+    return best.capped(most)
 
 
 def _in_scene(
@@ -201,18 +171,17 @@ def _in_scene(
     every = {name: EFFECTS[name](scene) for name in effects if name in EFFECTS}
     kinds = [(Group(name, kind), Z) for name, of_kind in every.items() if of_kind for kind, Z in of_kind.items()]
     groups = tuple(group for group, _ in kinds)
-    Z = np.concatenate([np.zeros((3, 0, len(scene.first))), *(moved for _, moved in kinds)], axis=1)
+    Z = np.concatenate([np.zeros((3, 0, len(scene.cut.first))), *(moved for _, moved in kinds)], axis=1)
     group = np.repeat(np.arange(len(groups)), [moved.shape[1] for _, moved in kinds]).astype(int)
     R, P = np.moveaxis(scene.problem.rotations, 0, -1), scene.problem.placements
     own = np.eye(P)[scene.problem.placement].T
     U = np.concatenate([np.einsum("ijn,kj->ikn", R, directions), -_along(own, np.eye(3)[:, :, None] + 0 * R)], axis=1)
-    root = np.sqrt(scene.count) / sigma
-    F = np.concatenate([scene.mean(U), Z, scene.mean(residual.T)[:, None]], axis=1) * root
+    root = np.sqrt(scene.cut.count) / sigma
+    F = np.concatenate([scene.cut.mean(U), Z, scene.cut.mean(residual.T)[:, None]], axis=1) * root
     u, width = U.shape[1], F.shape[1]
-    rows = np.array([3.0 * len(scene.first)])
+    rows = np.array([3.0 * len(scene.cut.first)])
     model = Mixed(
         np.zeros((1, width, width)), np.zeros((width, width)), rows, u, group, np.zeros(len(groups)), np.ones(1)
     )
-    stretch = scene.order.number[scene.first]
-    found = Components.of(groups, Rows.of(F, stretch, model))
+    found = Components.of(groups, Rows.of(F, scene.cut.stretch, model))
     return PointSystematic(groups, found.rows, found.model, found.rho, Z, directions)

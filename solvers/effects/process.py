@@ -78,3 +78,24 @@ def legendre(clock: Array, orders: int) -> Array:
     span, k = float(np.ptp(clock)), np.arange(1, orders + 1)
     time = 2 * (clock - clock.min()) / span - 1 if span > 0 else np.zeros(len(clock))
     return (np.polynomial.legendre.legvander(time, orders)[:, 1:] / k).T
+
+
+def over_times(placement: np.ndarray, clock: Array | None) -> Array:
+    """(P * DRIFT_ORDERS, N) polynomials of time in every placement of the numbers (N,), 0 in the others; without a
+    ``clock`` (N,) the number of the pose stands for the time."""
+    count = int(placement.max()) + 1
+    waves = np.zeros((count, DRIFT_ORDERS, len(placement)))
+    for p in range(count):
+        here = np.flatnonzero(placement == p)
+        if here.size:
+            waves[p][:, here] = legendre(here.astype(float) if clock is None else clock[here], DRIFT_ORDERS)
+    return waves.reshape(-1, len(placement))
+
+
+def play(way: Array) -> Array:
+    """(N,) the play operator: from 0, it follows the ``way`` (N,) within -1 and 1."""
+    state, states = 0.0, np.empty(len(way))
+    for k, step in enumerate(np.diff(way, prepend=way[:1]).tolist()):
+        state = min(1.0, max(-1.0, state + step))
+        states[k] = state
+    return states

@@ -20,7 +20,7 @@ from solvers.effects.columns import EFFECTS, Columns, Scene
 from solvers.effects.components import Components, Group
 from solvers.effects.rows import Rows
 from solvers.effects.variance import Mixed
-from solvers.estimate import Correlation, Note
+from solvers.estimate import Correlation, EffectFound, Note
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.torus import Torus
@@ -116,12 +116,10 @@ class Systematic(Components):
         full[active] = self.step
         return full
 
-    def amplitude(self, name: str) -> tuple[float, float]:
-        """Root mean square displacement of the sensor by an effect, m and rad, as it is predicted."""
-        columns = self.columns[name]
-        moved = np.einsum("imb,m->ib", columns.displacement, self.model.coefficients[self.columns_of(name)])
-        position, rotation = ((part**2).sum(axis=0).mean() ** 0.5 for part in (moved[:3], moved[3:]))
-        return float(position), float(rotation)
+    def effect(self, name: str) -> EffectFound:
+        """What an effect does to the sensor, as it is predicted."""
+        position, rotation = self.rms(name, self.columns[name].displacement)
+        return EffectFound(name, position, rotation)
 
 
 def systematic(
@@ -134,7 +132,7 @@ def systematic(
 ) -> Systematic:
     """The most likely ``effects`` in the poses of ``problem`` at the estimate ``torus``, ``angles`` (2, N), whose
     ``active`` (D,) unknowns and noise ``sigma`` (m, rad) are those of the fit."""
-    blocks = Blocks.of(problem, torus, angles, sigma, active)
+    blocks = Blocks.at(problem, torus, angles, sigma, active)
     if len(blocks.middle) < LEAST_BLOCKS or max(sigma) < EXACT:
         effects = ()
     best = Systematic.within(Scene(problem, torus, angles, sigma, blocks, FIELD_LENGTHS[0]), effects)

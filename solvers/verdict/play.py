@@ -5,6 +5,7 @@ docs/estimation.md, section 12.
 
 import numpy as np
 
+from solvers.effects.process import play
 from solvers.problem import Problem
 from solvers.se3 import Array
 from solvers.verdict.change import SENSOR, left_of
@@ -31,9 +32,6 @@ def taken_up(angle: Array, placement: np.ndarray) -> Array:
     """(N,) from -1 to 1 at which end of its play a joint lies at the angles (N,), rad, of poses in time. It begins
     every placement in the middle."""
     step = -(-len(angle) // MOST_POSES)
-    some, group = np.asarray(angle)[::step].tolist(), placement[::step].tolist()
-    state = [0.0] * len(some)
-    for k in range(1, len(some)):
-        if group[k] == group[k - 1]:
-            state[k] = min(1.0, max(-1.0, state[k - 1] + (some[k] - some[k - 1]) / WIDTH))
-    return np.repeat(state, step)[: len(angle)]
+    way, group = np.asarray(angle)[::step] / WIDTH, placement[::step]
+    parts = np.split(way, np.flatnonzero(np.diff(group)) + 1)
+    return np.repeat(np.concatenate([play(part) for part in parts]), step)[: len(angle)]

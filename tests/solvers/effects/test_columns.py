@@ -30,7 +30,7 @@ def scene() -> Scene:
     truth = machine(4, 0.1, np.radians(0.4), placements=2)
     data = replace(problem(truth, replace(MOTION, placement=TWO)), time_s=TIME_S)
     angles = MOTION.angles.T
-    blocks = Blocks.of(data, torus_of(truth), angles, SIGMA, active_unknowns(data, False))
+    blocks = Blocks.at(data, torus_of(truth), angles, SIGMA, active_unknowns(data, False))
     assert len(blocks.middle) == N
     return Scene(data, torus_of(truth), angles, SIGMA, blocks, 0.5)
 
@@ -146,7 +146,7 @@ def test_smoothing_cuts_corners():
     motion = sweeps_deg((0,), np.arange(0, len(some), 1.0), (), np.zeros(0))
     data = replace(problem(truth, replace(motion, angles=angles[:, some].T)), time_s=t[some])
     torus = torus_of(truth)
-    blocks = Blocks.of(data, torus, angles[:, some], SIGMA, active_unknowns(data, False))
+    blocks = Blocks.at(data, torus, angles[:, some], SIGMA, active_unknowns(data, False))
     scene = Scene(data, torus, angles[:, some], SIGMA, blocks, 0.5)
     late = np.stack([angles[0, some], 0.9 * np.sin(2 * np.pi * (t[some] - tau) / 8)])
     column = EFFECTS["smoothing"](scene).displacement[:3, 0]

@@ -50,7 +50,7 @@ def test_the_columns_are_what_displaced_poses_show():
     """Every column of every effect, blocks of one pose: the tip that a small displacement of the poses moves."""
     problem = rocked(1, placements=2, noise=False).select(np.arange(0, N, 2))
     scene, h = PointScene(problem, TIP, 0.5), 1e-7
-    assert len(scene.first) == len(problem)
+    assert len(scene.cut.first) == len(problem)
     p, R, phi = problem.p_world_sensor, problem.rotations, scene.over_places
     nothing = tips(p, R)
     np.testing.assert_allclose(phi.mean(axis=1), 0, atol=1e-12)
